@@ -1,0 +1,1 @@
+"""The application: a camera's frames in, velocity setpoints to an autopilot out."""

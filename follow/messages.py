@@ -1,0 +1,139 @@
+"""The messages that flow through the loop, one way: Frame, Track, VehicleState, Estimate, Setpoint, Tick.
+
+Body axes are FRD (forward, right, down), the local frame is NED, units are SI and radians.  All times are seconds on
+one clock, the one of the link that flies (in a simulation: simulated time).
+"""
+
+import math
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from racf.track import Track
+
+NEVER = -math.inf
+"""The time of something that has not happened."""
+
+
+class Autopilot(str, Enum):
+    """Whose rules the vehicle obeys."""
+
+    PX4 = "px4"
+    ARDUPILOT = "ardupilot"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """One picture: uint8, (rows, columns, 3) in BGR or (rows, columns) in grey, taken at `t_s`."""
+
+    image: NDArray[np.uint8]
+    t_s: float
+    index: int
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleState:
+    """What is known of the vehicle at `t_s`; each group carries the time it was measured, NEVER if it was not.
+
+    Attitude: roll, pitch, yaw (radians, aerospace order) and the yaw rate.  Position and velocity are local NED.
+    `mode` is the autopilot's own name for its flight mode and `commanded_mode` the one that this program last asked
+    for; `in_control` says that the autopilot now obeys our setpoints.
+    """
+
+    t_s: float
+    attitude_t_s: float = NEVER
+    roll_rad: float = 0.0
+    pitch_rad: float = 0.0
+    yaw_rad: float = 0.0
+    yaw_rate_rad_s: float = 0.0
+    position_t_s: float = NEVER
+    north_m: float = 0.0
+    east_m: float = 0.0
+    down_m: float = 0.0
+    north_m_s: float = 0.0
+    east_m_s: float = 0.0
+    down_m_s: float = 0.0
+    heartbeat_t_s: float = NEVER
+    autopilot: Autopilot | None = None
+    mode: str = ""
+    commanded_mode: str = ""
+    in_control: bool = False
+    armed: bool = False
+    landed: bool = False
+
+    def body_velocity_m_s(self) -> tuple[float, float, float]:
+        """Velocity forward, right, down in the heading frame (yaw only: the setpoint's frame)."""
+        c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
+        return c * self.north_m_s + s * self.east_m_s, c * self.east_m_s - s * self.north_m_s, self.down_m_s
+
+
+@dataclass(frozen=True, slots=True)
+class Setpoint:
+    """Body-frame velocity command, FRD axes (levelled: heading only); also the servo's wish before the gate."""
+
+    forward_m_s: float = 0.0
+    right_m_s: float = 0.0
+    down_m_s: float = 0.0  # positive descends
+    yaw_rate_rad_s: float = 0.0  # positive turns right (clockwise seen from above)
+
+    def is_finite(self) -> bool:
+        """Whether all four numbers are finite."""
+        numbers = (self.forward_m_s, self.right_m_s, self.down_m_s, self.yaw_rate_rad_s)
+        return all(math.isfinite(v) for v in numbers)
+
+
+HOVER = Setpoint()
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """Where the target is believed to be at `t_s`, seen from the vehicle.
+
+    `azimuth_rad` is measured clockwise from the vehicle's heading, `depression_rad` downward from the horizon; both
+    are free of the vehicle's roll and pitch.  `range_m` is the distance along the ground with its standard deviation.
+    The velocity is the target's own over the ground, local NED.  `seen_t_s` is the time of the last picture in which
+    it was found.
+    """
+
+    t_s: float
+    azimuth_rad: float
+    depression_rad: float
+    range_m: float
+    range_std_m: float
+    north_m_s: float = 0.0
+    east_m_s: float = 0.0
+    seen_t_s: float = NEVER
+
+
+class Order(str, Enum):
+    """What the operator asks for."""
+
+    FOLLOW = "follow"
+    OBSERVE = "observe"
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """The gate's answer: what may be sent (None: nothing), in which mode, and what a person should read about it."""
+
+    setpoint: Setpoint | None
+    mode: str
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tick:
+    """One round of the loop.  `frame` and `track` are None in a round without a new picture.
+
+    `stage_ms` holds wall-clock times of the round's stages, for the record only: nothing in the loop reads them.
+    """
+
+    frame: Frame | None
+    track: Track | None
+    state: VehicleState
+    estimate: Estimate
+    wish: Setpoint
+    decision: Decision
+    stage_ms: dict[str, float] = field(default_factory=dict)

@@ -1,0 +1,76 @@
+"""The one box convention: `x, y` is the top-left corner, pixel (0, 0) covers [0, 1) x [0, 1)."""
+
+import math
+from dataclasses import dataclass
+
+from typing_extensions import Self
+
+
+@dataclass(frozen=True, slots=True)
+class Box:
+    """An axis-aligned rectangle in 0-based pixels; the centre is at `x + w/2, y + h/2`.
+
+    Raises ValueError when a number is not finite or a side is not positive.
+    """
+
+    x: float
+    y: float
+    w: float
+    h: float
+
+    def __post_init__(self) -> None:
+        if not all(math.isfinite(v) for v in (self.x, self.y, self.w, self.h)):
+            raise ValueError(f"a box needs four finite numbers, not {self}")
+        if self.w <= 0 or self.h <= 0:
+            raise ValueError(f"a box needs a positive width and height, not {self}")
+
+    def __str__(self) -> str:
+        return f"{self.x:g},{self.y:g},{self.w:g},{self.h:g}"
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """Read `x,y,w,h`; raises ValueError naming the text."""
+        try:
+            x, y, w, h = (float(part) for part in text.split(","))
+        except ValueError:
+            raise ValueError(f"a box is written x,y,w,h, not {text!r}") from None
+        return cls(x, y, w, h)
+
+    @classmethod
+    def around(cls, centre_x: float, centre_y: float, w: float, h: float) -> Self:
+        """The box of size `w` x `h` whose centre is at the given point."""
+        return cls(centre_x - w / 2, centre_y - h / 2, w, h)
+
+    @property
+    def centre_x(self) -> float:
+        """Horizontal centre in pixels."""
+        return self.x + self.w / 2
+
+    @property
+    def centre_y(self) -> float:
+        """Vertical centre in pixels."""
+        return self.y + self.h / 2
+
+    @property
+    def area(self) -> float:
+        """Square pixels."""
+        return self.w * self.h
+
+    def intersection(self, other: "Box") -> float:
+        """Shared area in square pixels."""
+        w = min(self.x + self.w, other.x + other.w) - max(self.x, other.x)
+        h = min(self.y + self.h, other.y + other.h) - max(self.y, other.y)
+        return max(w, 0.0) * max(h, 0.0)
+
+    def iou(self, other: "Box") -> float:
+        """Intersection over union, in 0..1."""
+        shared = self.intersection(other)
+        return shared / (self.area + other.area - shared)
+
+    def moved(self, dx: float, dy: float) -> "Box":
+        """The same box, `dx, dy` pixels further."""
+        return Box(self.x + dx, self.y + dy, self.w, self.h)
+
+    def scaled(self, factor: float) -> "Box":
+        """The box about the same centre with both sides times `factor`."""
+        return Box.around(self.centre_x, self.centre_y, self.w * factor, self.h * factor)

@@ -1,0 +1,1 @@
+"""A world, a vehicle and a camera to fly without a drone."""

@@ -1,0 +1,33 @@
+"""Fail when requirements.lock no longer answers to pyproject.toml (run by `make check`).
+
+Resolving needs the package index, so this reads only what the two files say: every requirement of the project and of
+its development extra must be met by a version in the lock.
+"""
+
+import re
+import sys
+from importlib.metadata import requires
+from pathlib import Path
+
+from packaging.requirements import Requirement
+
+
+def main() -> int:
+    """Print each requirement that the lock does not meet."""
+    lock: dict[str, set[str]] = {}
+    for name, version in re.findall(r"(?m)^([\w.-]+)==(\S+)", Path("requirements.lock").read_text()):
+        lock.setdefault(name.lower(), set()).add(version)
+    unmet = []
+    for text in requires("follow-me") or ():
+        need = Requirement(text)
+        if need.marker and not (need.marker.evaluate({"extra": ""}) or need.marker.evaluate({"extra": "dev"})):
+            continue
+        if not any(need.specifier.contains(version) for version in lock.get(need.name.lower(), ())):
+            unmet.append(text)
+    for text in unmet:
+        print(f"requirements.lock does not meet {text!r}: run `make lock`")
+    return 1 if unmet else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
