@@ -1,0 +1,318 @@
+"""A multirotor as its autopilot makes it answer to velocity and yaw-rate setpoints.
+
+The chain is the one that real autopilots share: a dead time, a shaped velocity reference, a PI velocity controller
+that asks for an acceleration, a second-order tilt loop that follows it, drag against the moving air.  The numbers of
+the two settings are fitted to step responses of a flown PX4 and a flown ArduCopter (docs/vehicle.md).
+
+The horizontal plane is complex, north + i·east, so that turning the body frame by the yaw ψ into NED is one product:
+v = (forward + i·right)·exp(iψ).
+"""
+
+import cmath
+import math
+from collections import deque
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from follow.messages import HOVER, Autopilot, Setpoint
+
+GRAVITY_M_S2 = 9.80665  # standard gravity, CGPM 1901
+SUBSTEP_S = 0.01  # a quarter of the fastest fitted time constant and less
+
+
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """A PI velocity loop on one axis and the air that it works against.
+
+    a_ask = gain·(v_ref - v) + integral·∫(v_ref - v)dt + feed_forward·a_ref, limited to `limit_m_s2`;
+    a follows a_ask as ä = ω²(a_ask - a) - 2ζω·ȧ;  v̇ = a - (drag + drag_2·|v - wind|)(v - wind).
+    """
+
+    gain_per_s: float
+    integral_per_s2: float
+    feed_forward: float
+    omega_rad_s: float
+    zeta: float
+    drag_per_s: float
+    drag_2_per_m: float
+    limit_m_s2: float
+    ramp_m_s2: float  # the reference's own acceleration limit; inf: the setpoint is taken as it comes
+    jerk_m_s3: float
+
+
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """The yaw loop: ṙ = gain·(r_ref - r) + integral·∫(r_ref - r)dt - damping·r, with r_ref limited."""
+
+    gain_per_s: float
+    integral_per_s2: float
+    damping_per_s: float
+    rate_limit_rad_s: float
+    ramp_rad_s2: float
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """How one autopilot answers.  `drift_m_s` is the standard deviation of its wandering when it should stand still."""
+
+    dead_time_s: float
+    yaw_dead_time_s: float
+    horizontal: Axis
+    vertical: Axis
+    turn: Turn
+    drift_m_s: float
+    drift_time_s: float
+
+
+_TILT_LIMIT_M_S2 = GRAVITY_M_S2 * math.tan(math.radians(45.0))  # PX4 MPC_TILTMAX_AIR, 45 degrees
+ANSWERS: dict[Autopilot, Answer] = {
+    Autopilot.PX4: Answer(
+        dead_time_s=0.07,
+        yaw_dead_time_s=0.08,
+        horizontal=Axis(2.0, 0.5, 0.0, 12.0, 0.9, 0.26, 0.0, _TILT_LIMIT_M_S2, math.inf, math.inf),
+        vertical=Axis(4.0, 0.5, 0.0, 20.0, 1.0, 0.3, 0.0, 5.0, math.inf, math.inf),
+        turn=Turn(3.0, 0.3, 0.1, 3.5, 10.0),
+        drift_m_s=0.07,
+        drift_time_s=1.0,
+    ),
+    Autopilot.ARDUPILOT: Answer(
+        dead_time_s=0.1,
+        yaw_dead_time_s=0.08,
+        horizontal=Axis(2.0, 0.5, 1.0, 10.0, 0.9, 0.22, 0.036, 5.66, 2.5, 5.0),
+        vertical=Axis(4.0, 0.5, 1.0, 20.0, 1.0, 0.1, 0.0, 5.0, 2.5, 5.0),
+        turn=Turn(8.0, 20.0, 0.0, 1.047, 10.0),
+        drift_m_s=0.0,
+        drift_time_s=1.0,
+    ),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Wind:
+    """A steady wind toward `toward_rad` (clockwise from north) and gusts about it (first-order Gauss-Markov)."""
+
+    speed_m_s: float = 0.0
+    toward_rad: float = 0.0
+    gust_m_s: float = 0.0  # standard deviation of each component
+    gust_time_s: float = 2.0  # Dryden's length over airspeed at 15 m height and 10 m/s (MIL-F-8785C): L/V ~ 20/10
+
+
+CALM = Wind()
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Where the vehicle is and how it moves at `t_s`: local NED, aerospace attitude, yaw rate about the down axis."""
+
+    t_s: float = 0.0
+    north_m: float = 0.0
+    east_m: float = 0.0
+    down_m: float = 0.0
+    north_m_s: float = 0.0
+    east_m_s: float = 0.0
+    down_m_s: float = 0.0
+    roll_rad: float = 0.0
+    pitch_rad: float = 0.0
+    yaw_rad: float = 0.0
+    yaw_rate_rad_s: float = 0.0
+    landed: bool = False
+
+
+@dataclass(slots=True)
+class _Loop:
+    """State of one velocity loop; complex for the horizontal plane, real for the vertical axis."""
+
+    v: complex
+    v_ref: complex
+    a_ref: complex = 0.0
+    a: complex = 0.0  # what the rotors give: tilt (horizontal) or thrust above hover (vertical)
+    a_rate: complex = 0.0
+    integral: complex = 0.0
+
+    def step(self, axis: Axis, command: complex, wind: complex, dt: float) -> None:
+        """Advance by `dt` toward the velocity `command` in moving air."""
+        if math.isinf(axis.ramp_m_s2):
+            self.v_ref = command
+        else:
+            self.v_ref, self.a_ref = ramp(self.v_ref, self.a_ref, command, axis.ramp_m_s2, axis.jerk_m_s3, dt)
+        error = self.v_ref - self.v
+        ask = axis.gain_per_s * error + self.integral + axis.feed_forward * self.a_ref
+        if abs(ask) > axis.limit_m_s2:
+            ask *= axis.limit_m_s2 / abs(ask)
+        else:
+            self.integral += axis.integral_per_s2 * error * dt  # no wind-up while the limit holds
+        omega = axis.omega_rad_s
+        self.a_rate += (omega * omega * (ask - self.a) - 2.0 * axis.zeta * omega * self.a_rate) * dt
+        self.a += self.a_rate * dt
+        self.v += (self.a - drag(axis, self.v - wind)) * dt
+
+
+def drag(axis: Axis, airspeed: complex) -> complex:
+    """Deceleration by the air, m/s2."""
+    return (axis.drag_per_s + axis.drag_2_per_m * abs(airspeed)) * airspeed
+
+
+def ramp(v: complex, a: complex, command: complex, limit: float, jerk: float, dt: float) -> tuple[complex, complex]:
+    """Move a velocity reference toward `command` within an acceleration and a jerk limit; returns (v, a).
+
+    The wanted acceleration is the one from which the jerk limit can still stop in time: |a|² = 2·jerk·|error| far
+    away, linear close by so that it settles (ArduPilot's square-root controller).
+    """
+    error = command - v
+    distance = abs(error)
+    slope = jerk / limit
+    linear = jerk / slope**2
+    speed = slope * distance if distance < linear else math.sqrt(2.0 * jerk * (distance - linear / 2.0))
+    wanted = error * (min(speed, limit) / distance) if distance > 0.0 else 0.0 * error
+    change = wanted - a
+    if abs(change) > jerk * dt:
+        change *= jerk * dt / abs(change)
+    a = a + change
+    return v + a * dt, a
+
+
+class Vehicle:
+    """The vehicle in flight.  The same seed and the same calls give the same motion, bit for bit."""
+
+    def __init__(
+        self,
+        autopilot: Autopilot,
+        start: Motion = Motion(),
+        wind: Wind = CALM,
+        seed: int = 0,
+        answer: Answer | None = None,
+    ) -> None:
+        self.autopilot = autopilot
+        self.answer = answer or ANSWERS[autopilot]
+        self.wind = wind
+        self.motion = replace(start, landed=start.down_m >= 0.0)
+        self._random = np.random.default_rng(seed)
+        self._gust = 0j
+        self._drift = 0j
+        self._drift_down = 0.0
+        v = complex(start.north_m_s, start.east_m_s)
+        self._plane = _Loop(v, v)
+        self._lift = _Loop(start.down_m_s, start.down_m_s)
+        self._plane.a = self._plane.integral = drag(self.answer.horizontal, v - self._air())
+        self._lift.a = self._lift.integral = drag(self.answer.vertical, start.down_m_s)
+        self._rate_ref = self._rate = start.yaw_rate_rad_s
+        self._rate_integral = self.answer.turn.damping_per_s * self._rate
+        self._waiting: deque[tuple[float, Setpoint]] = deque()
+        still = Setpoint(yaw_rate_rad_s=start.yaw_rate_rad_s)
+        if v or start.down_m_s:
+            level = v * cmath.exp(-1j * start.yaw_rad)
+            still = Setpoint(level.real, level.imag, start.down_m_s, start.yaw_rate_rad_s)
+        self._velocity_now = self._yaw_now = still
+
+    def step(self, setpoint: Setpoint | None, dt_s: float) -> Motion:
+        """Fly on for `dt_s` with this setpoint arriving at its start; None: motors off.
+
+        Raises ValueError for a setpoint that is not finite or a time that does not pass.
+        """
+        if dt_s <= 0.0:
+            raise ValueError(f"a step needs a positive time, not {dt_s} s")
+        if setpoint is None:
+            self._fall(dt_s)
+            return self.motion
+        if not setpoint.is_finite():
+            raise ValueError(f"a setpoint needs four finite numbers, not {setpoint}")
+        self._waiting.append((self.motion.t_s, setpoint))
+        count = math.ceil(dt_s / SUBSTEP_S - 1e-9)
+        for _ in range(count):
+            self._substep(dt_s / count)
+        return self.motion
+
+    def _air(self) -> complex:
+        return cmath.rect(self.wind.speed_m_s, self.wind.toward_rad) + self._gust
+
+    def _obeyed(self, t_s: float) -> tuple[Setpoint, Setpoint]:
+        """The setpoints whose dead time is over: for velocity, for yaw."""
+        answer = self.answer
+        for sent_s, setpoint in self._waiting:
+            if t_s - sent_s >= answer.dead_time_s - 1e-9:
+                self._velocity_now = setpoint
+            if t_s - sent_s >= answer.yaw_dead_time_s - 1e-9:
+                self._yaw_now = setpoint
+        oldest = t_s - max(answer.dead_time_s, answer.yaw_dead_time_s) - 1e-9
+        while self._waiting and self._waiting[0][0] <= oldest:
+            self._waiting.popleft()
+        return self._velocity_now, self._yaw_now
+
+    def _substep(self, dt: float) -> None:
+        now = self.motion
+        answer = self.answer
+        velocity, turning = self._obeyed(now.t_s)
+        self._weather(dt)
+        yaw = now.yaw_rad
+        command = complex(velocity.forward_m_s, velocity.right_m_s) * cmath.exp(1j * yaw) + self._drift
+        down = velocity.down_m_s + self._drift_down
+        if now.landed and velocity.down_m_s >= 0.0:
+            self._rest(dt)
+            return
+        self._plane.step(answer.horizontal, command, self._air(), dt)
+        self._lift.step(answer.vertical, down, 0.0, dt)
+        self._turn(turning.yaw_rate_rad_s, dt)
+        tilt = self._plane.a * cmath.exp(-1j * yaw)
+        v, v_down = self._plane.v, self._lift.v.real
+        height_left = -now.down_m
+        landed = height_left - v_down * dt <= 0.0 and v_down >= 0.0
+        self.motion = Motion(
+            t_s=now.t_s + dt,
+            north_m=now.north_m + v.real * dt,
+            east_m=now.east_m + v.imag * dt,
+            down_m=0.0 if landed else now.down_m + v_down * dt,
+            north_m_s=v.real,
+            east_m_s=v.imag,
+            down_m_s=v_down,
+            roll_rad=math.atan2(tilt.imag, GRAVITY_M_S2),
+            pitch_rad=-math.atan2(tilt.real, GRAVITY_M_S2),
+            yaw_rad=math.remainder(yaw + self._rate * dt, math.tau),
+            yaw_rate_rad_s=self._rate,
+            landed=landed,
+        )
+
+    def _turn(self, command: float, dt: float) -> None:
+        turn = self.answer.turn
+        limited = max(-turn.rate_limit_rad_s, min(turn.rate_limit_rad_s, command))
+        change = turn.ramp_rad_s2 * dt
+        self._rate_ref += max(-change, min(change, limited - self._rate_ref))
+        error = self._rate_ref - self._rate
+        self._rate_integral += turn.integral_per_s2 * error * dt
+        self._rate += (turn.gain_per_s * error + self._rate_integral - turn.damping_per_s * self._rate) * dt
+
+    def _weather(self, dt: float) -> None:
+        """Advance gusts and drift: x' = x·e + σ·sqrt(1 - e²)·n with e = exp(-dt/τ), exact for any dt."""
+        if self.wind.gust_m_s > 0.0:
+            keep = math.exp(-dt / self.wind.gust_time_s)
+            spread = self.wind.gust_m_s * math.sqrt(1.0 - keep * keep)
+            n = self._random.standard_normal(2)
+            self._gust = keep * self._gust + spread * complex(n[0], n[1])
+        if self.answer.drift_m_s > 0.0:
+            keep = math.exp(-dt / self.answer.drift_time_s)
+            spread = self.answer.drift_m_s * math.sqrt(1.0 - keep * keep)
+            n = self._random.standard_normal(3)
+            self._drift = keep * self._drift + spread * complex(n[0], n[1])
+            self._drift_down = keep * self._drift_down + spread * float(n[2])
+
+    def _rest(self, dt: float) -> None:
+        """Stand on the ground."""
+        self._plane = _Loop(0.0, 0.0)
+        self._lift = _Loop(0.0, 0.0)
+        self._rate = self._rate_ref = self._rate_integral = 0.0
+        now = self.motion
+        self.motion = Motion(now.t_s + dt, now.north_m, now.east_m, 0.0, yaw_rad=now.yaw_rad, landed=True)
+
+    def _fall(self, dt_s: float) -> None:
+        """Motors off: free fall without turning, until the ground."""
+        self._velocity_now = self._yaw_now = HOVER
+        self._waiting.clear()
+        now = self.motion
+        v_down = now.down_m_s + GRAVITY_M_S2 * dt_s
+        down = now.down_m + v_down * dt_s
+        if now.landed or down >= 0.0:
+            self._rest(dt_s)
+            return
+        north, east = now.north_m + now.north_m_s * dt_s, now.east_m + now.east_m_s * dt_s
+        self._lift.v = self._lift.v_ref = v_down
+        self.motion = replace(now, t_s=now.t_s + dt_s, north_m=north, east_m=east, down_m=down, down_m_s=v_down)
