@@ -1,0 +1,87 @@
+"""Ramps whose speed, acceleration and jerk stay within bounds whatever the goal does.
+
+The bound on jerk makes braking take time, so a step is taken only if the speed bound can still be kept afterwards:
+braking at full jerk from velocity v and acceleration a ends at v + a |a| / (2 J), and that end must lie within the
+bound.  Velocities within a bound form a ball, which is convex, so everything between v and that end lies within, too.
+"""
+
+import math
+from dataclasses import dataclass
+
+from typing_extensions import Self
+
+BISECTIONS = 12
+"""Halvings in search of the largest safe step: a thousandth of it is enough."""
+
+
+def norm(vector: tuple[float, ...]) -> float:
+    """Euclidean length."""
+    return math.hypot(*vector)
+
+
+def shortened(vector: tuple[float, ...], longest: float) -> tuple[float, ...]:
+    """The vector, no longer than `longest`."""
+    length = norm(vector)
+    return vector if length <= longest else tuple(v * (longest / length) for v in vector)
+
+
+def mixed(a: tuple[float, ...], b: tuple[float, ...], share: float) -> tuple[float, ...]:
+    """a + share (b - a)."""
+    return tuple(p + share * (q - p) for p, q in zip(a, b, strict=True))
+
+
+@dataclass(frozen=True, slots=True)
+class Velocity:
+    """A commanded velocity (m/s) and its acceleration (m/s²), of one or two components."""
+
+    v: tuple[float, ...] = (0.0, 0.0)
+    a: tuple[float, ...] | None = None
+
+    def towards(self, goal: tuple[float, ...], dt_s: float, speed: float, accel: float, jerk: float) -> Self:
+        """One step of `dt_s` towards the goal: |v| <= speed, |dv| <= accel dt, |da| <= jerk dt."""
+        a = self.a or (0.0,) * len(self.v)
+        if dt_s <= 0:
+            return type(self)(self.v, a)
+        error = mixed(self.v, shortened(goal, speed), 1.0)
+        error = tuple(g - v for g, v in zip(error, self.v, strict=True))
+        away = norm(error)
+        # From here the acceleration can still fall to zero, at full jerk, just as the goal is reached.
+        strongest = min(accel, math.sqrt(2 * jerk * away), away / dt_s)
+        wanted = tuple(e / away * strongest for e in error) if away > 0 else (0.0,) * len(error)
+        change = shortened(tuple(w - p for w, p in zip(wanted, a, strict=True)), jerk * dt_s)
+        best = shortened(tuple(p + q for p, q in zip(a, change, strict=True)), accel)
+        brake = shortened(a, max(norm(a) - jerk * dt_s, 0.0))
+        chosen = safest(self.v, brake, best, dt_s, speed, jerk)
+        # The last clip only removes rounding.
+        return type(self)(shortened(tuple(v + p * dt_s for v, p in zip(self.v, chosen, strict=True)), speed), chosen)
+
+
+def safest(
+    v: tuple[float, ...], brake: tuple[float, ...], best: tuple[float, ...], dt_s: float, speed: float, jerk: float
+) -> tuple[float, ...]:
+    """The acceleration nearest to `best`, on the way from `brake`, after which the speed bound can be kept."""
+
+    def keeps(a: tuple[float, ...]) -> bool:
+        reach = dt_s + norm(a) / (2 * jerk)
+        return norm(tuple(p + q * reach for p, q in zip(v, a, strict=True))) <= speed
+
+    if keeps(best):
+        return best
+    low, high = 0.0, 1.0
+    for _ in range(BISECTIONS):
+        middle = (low + high) / 2
+        low, high = (middle, high) if keeps(mixed(brake, best, middle)) else (low, middle)
+    return mixed(brake, best, low)
+
+
+@dataclass(frozen=True, slots=True)
+class Rate:
+    """A commanded yaw rate, rad/s."""
+
+    rate: float = 0.0
+
+    def towards(self, goal: float, dt_s: float, fastest: float, accel: float) -> Self:
+        """One step of `dt_s` towards the goal: |rate| <= fastest, |change| <= accel dt."""
+        step = accel * max(dt_s, 0.0)
+        wanted = min(max(goal, -fastest), fastest)
+        return type(self)(self.rate + min(max(wanted - self.rate, -step), step))

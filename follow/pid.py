@@ -1,0 +1,55 @@
+"""One PID controller, as in Åström & Hägglund, "Advanced PID Control" (2006), ch. 3: no clock of its own."""
+
+import math
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Gains:
+    """u = kp e + ki ∫e - kd d(measurement)/dt, held within ±limit.
+
+    The derivative acts on the measurement (no kick when the wanted value jumps) through a first-order filter of time
+    constant `filter_s`.  Raises ValueError when a limit or a time constant is not positive.
+    """
+
+    kp: float
+    ki: float = 0.0
+    kd: float = 0.0
+    limit: float = math.inf
+    filter_s: float = 0.1  # about three pictures at 30 frames/s
+
+    def __post_init__(self) -> None:
+        if not (self.limit > 0 and self.filter_s > 0):
+            raise ValueError(f"a PID's limit and filter time are positive, not {self.limit:g} and {self.filter_s:g}")
+
+
+@dataclass(slots=True)
+class Pid:
+    """The controller: gains, the integral's share of the output, and what the derivative needs."""
+
+    gains: Gains
+    integral: float = 0.0
+    measured: float | None = None
+    rate: float = 0.0
+
+    def update(self, error: float, measurement: float, dt_s: float) -> float:
+        """The output for this error (wanted minus measured), `dt_s` after the last one.
+
+        A step without time (dt <= 0) neither integrates nor differentiates.  Anti-windup: the integral stays when the
+        output is at its limit and the error would push it further out (conditional integration).
+        """
+        g = self.gains
+        if dt_s > 0:
+            if self.measured is not None:
+                self.rate += (measurement - self.measured - self.rate * dt_s) / (g.filter_s + dt_s)
+            self.measured = measurement
+        free = g.kp * error + self.integral - g.kd * self.rate
+        if dt_s > 0 and (abs(free) < g.limit or free * error * g.ki < 0):
+            step = g.ki * error * dt_s
+            self.integral += step
+            free += step
+        return min(max(free, -g.limit), g.limit)
+
+    def reset(self) -> None:
+        """Forget the past."""
+        self.integral, self.measured, self.rate = 0.0, None, 0.0

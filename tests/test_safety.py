@@ -1,0 +1,229 @@
+import math
+from dataclasses import replace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from follow.limiter import Rate, Velocity
+from follow.messages import HOVER, NEVER, Estimate, Order, Setpoint, VehicleState
+from follow.modes import Mode
+from follow.safety import Gate, Limits, Safety, decide
+
+LIMITS = Limits()
+DT = 1 / 30
+any_float = st.floats(allow_nan=True, allow_infinity=True)
+wishes = st.builds(Setpoint, any_float, any_float, any_float, any_float)
+
+
+def flying(t_s, **changes):
+    state = VehicleState(
+        t_s=t_s,
+        attitude_t_s=t_s,
+        position_t_s=t_s,
+        heartbeat_t_s=t_s,
+        down_m=-20.0,
+        in_control=True,
+        armed=True,
+    )
+    return replace(state, **changes)
+
+
+def seen(t_s):
+    return Estimate(t_s, 0.0, 0.4, 12.0, 1.0, seen_t_s=t_s)
+
+
+def engaged(**changes):
+    """A gate that follows, and the time."""
+    safety = Safety(LIMITS)
+    safety.order(Order.FOLLOW)
+    for i in range(3):
+        decision = safety.allow(HOVER, seen(i * DT), flying(i * DT, **changes), i * DT)
+    assert decision.mode == "follow"
+    return safety, 2 * DT
+
+
+def fly(safety, t_s, seconds, wish, seen_t_s=None, frame_t_s=None, **changes):
+    """Rounds of one wish; the decisions."""
+    decisions = []
+    for i in range(1, round(seconds / DT) + 1):
+        now = t_s + i * DT
+        estimate = seen(now if seen_t_s is None else seen_t_s)
+        decisions.append(safety.allow(wish, estimate, flying(now, **changes), now if frame_t_s is None else frame_t_s))
+    return decisions
+
+
+@given(st.lists(st.tuples(wishes, st.floats(-0.2, 0.5), any_float, any_float), min_size=1, max_size=40))
+@settings(deadline=None)
+def test_no_wish_passes_a_limit_whatever_comes(rounds):
+    safety, t_s = engaged()
+    gate = safety.gate
+    for wish, dt, yaw, number in rounds:
+        t_s += dt
+        state = flying(t_s, yaw_rad=yaw if number == number else 0.3, north_m=number, east_m_s=yaw)
+        safety.allow(wish, seen(t_s), state, t_s)
+        before, gate = gate, safety.gate
+        check(before, gate, min(max(dt, 0.0), 0.1))
+
+
+def check(before, gate, dt):
+    """The limits, read off two states of the gate by plain arithmetic."""
+    slack = 1e-9
+    assert math.hypot(*gate.horizontal.v) <= LIMITS.speed_m_s + slack
+    assert abs(gate.down.v[0]) <= LIMITS.climb_m_s + slack
+    assert abs(gate.yaw.rate) <= LIMITS.yaw_rate_rad_s + slack
+    assert math.dist(before.horizontal.v, gate.horizontal.v) <= LIMITS.accel_m_s2 * dt + slack
+    assert abs(before.down.v[0] - gate.down.v[0]) <= LIMITS.climb_accel_m_s2 * dt + slack
+    assert abs(before.yaw.rate - gate.yaw.rate) <= LIMITS.yaw_accel_rad_s2 * dt + slack
+    jerk = math.dist(before.horizontal.a or (0, 0), gate.horizontal.a or (0, 0))
+    assert jerk <= LIMITS.jerk_m_s3 * dt + slack
+
+
+@given(wishes, any_float, any_float, any_float, any_float)
+@settings(deadline=None)
+def test_what_comes_out_is_finite_or_nothing(wish, t_s, frame_t_s, number, seen_t_s):
+    safety, _ = engaged()
+    state = flying(t_s, yaw_rad=number, down_m=number, north_m_s=number, yaw_rate_rad_s=number)
+    decision = safety.allow(wish, seen(seen_t_s), state, frame_t_s)
+    assert decision.setpoint is None or decision.setpoint.is_finite()
+
+
+@given(
+    st.lists(st.tuples(st.floats(-30, 30), st.floats(-30, 30), st.floats(0.0, 0.1)), max_size=60),
+    st.floats(0.5, 10),
+    st.floats(0.5, 5),
+    st.floats(0.5, 20),
+)
+def test_a_ramp_keeps_speed_acceleration_and_jerk(goals, speed, accel, jerk):
+    velocity = Velocity()
+    for north, east, dt in goals:
+        before, velocity = velocity, velocity.towards((north, east), dt, speed, accel, jerk)
+        assert math.hypot(*velocity.v) <= speed * (1 + 1e-9)
+        assert math.dist(before.v, velocity.v) <= accel * dt + 1e-9
+        assert math.dist(before.a or (0, 0), velocity.a) <= jerk * dt + 1e-9
+
+
+def test_a_ramp_arrives_and_stays():
+    velocity = Velocity()
+    for _ in range(200):
+        velocity = velocity.towards((3.0, -1.0), DT, 8.0, 2.5, 10.0)
+    assert velocity.v == pytest.approx((3.0, -1.0), abs=1e-3)
+
+
+def test_a_yaw_rate_ramps():
+    assert Rate(0.0).towards(9.0, 0.1, 1.5, 6.0) == Rate(pytest.approx(0.6))
+
+
+def test_nothing_is_sent_before_the_operator_asks():
+    assert all(d.setpoint is None for d in fly(Safety(LIMITS), 0.0, 5.0, Setpoint(1.0)))
+
+
+def test_the_first_setpoint_is_the_present_velocity():
+    safety = Safety(LIMITS)
+    safety.order(Order.FOLLOW)
+    moving = {"yaw_rad": 0.7, "north_m_s": 1.5, "east_m_s": -0.5, "down_m_s": 0.2, "yaw_rate_rad_s": 0.1}
+    spoken = [d for d in fly(safety, 0.0, 0.2, HOVER, **moving) if d.setpoint]
+    first, state = spoken[0].setpoint, flying(0.0, **moving)
+    assert first is not None
+    assert (first.forward_m_s, first.right_m_s, first.down_m_s) == pytest.approx(state.body_velocity_m_s())
+    assert first.yaw_rate_rad_s == pytest.approx(0.1)
+
+
+def test_an_autopilot_that_does_not_obey_is_left_in_peace():
+    safety = Safety(LIMITS)
+    safety.order(Order.FOLLOW)
+    decisions = fly(safety, 0.0, 8.0, HOVER, in_control=False)
+    assert decisions[-1].mode == Mode.ENDED.value
+    assert decisions[-1].setpoint is None
+
+
+def test_a_takeover_ends_the_stream_at_once_and_for_good():
+    safety, t_s = engaged()
+    taken = fly(safety, t_s, DT, Setpoint(2.0), in_control=False)
+    assert taken[0].setpoint is None
+    assert all(d.setpoint is None for d in fly(safety, t_s + 1, 5.0, Setpoint(2.0)))
+
+
+def test_the_operator_can_ask_again_after_a_takeover():
+    safety, t_s = engaged()
+    fly(safety, t_s, DT, HOVER, in_control=False)
+    safety.order(Order.FOLLOW)
+    assert fly(safety, t_s + 1, 0.2, HOVER)[-1].mode == "follow"
+
+
+def test_observe_silences_at_once():
+    safety, t_s = engaged()
+    safety.order(Order.OBSERVE)
+    assert fly(safety, t_s, DT, Setpoint(2.0))[0].setpoint is None
+
+
+def test_a_lost_target_slows_the_vehicle_then_searches_then_holds():
+    safety, t_s = engaged()
+    fly(safety, t_s, 3.0, Setpoint(2.0, yaw_rate_rad_s=0.3))
+    lost = fly(safety, t_s + 3, 30.0, Setpoint(2.0, yaw_rate_rad_s=0.3), seen_t_s=t_s + 3)
+    modes = list(dict.fromkeys(d.mode for d in lost))
+    assert modes == ["follow", "coast", "search", "hold"]
+    searching = next(d for d in lost[::-1] if d.mode == "search")
+    assert searching.setpoint == Setpoint(yaw_rate_rad_s=pytest.approx(0.3))
+    assert lost[-1].setpoint == HOVER
+
+
+@pytest.mark.parametrize(
+    "stopped", ["frame", "attitude_t_s", "position_t_s", "heartbeat_t_s"], ids=lambda name: name.split("_")[0]
+)
+def test_stale_data_ramp_to_zero_and_stop_the_stream(stopped):
+    safety, t_s = engaged()
+    fly(safety, t_s, 3.0, Setpoint(2.0))
+    t_s += 3
+    old = {"frame_t_s": t_s} if stopped == "frame" else {stopped: t_s}
+    decisions = fly(safety, t_s, 6.0, Setpoint(2.0), **old)
+    assert decisions[-1].setpoint is None
+    assert decisions[-1].mode == "ended"
+    last = [d.setpoint for d in decisions if d.setpoint][-1]
+    assert math.hypot(last.forward_m_s, last.right_m_s) < 0.1
+
+
+def test_a_short_stall_is_ridden_out():
+    safety, t_s = engaged()
+    fly(safety, t_s, 0.4, Setpoint(2.0), frame_t_s=t_s)
+    assert fly(safety, t_s + 0.4, 0.2, Setpoint(2.0))[-1].mode == "follow"
+
+
+@pytest.mark.parametrize(("height", "wish"), [(1.5, 1.0), (101.0, -1.0)])
+def test_beyond_the_altitude_band_no_further(height, wish):
+    safety, t_s = engaged(down_m=-height)
+    assert fly(safety, t_s, 1.0, Setpoint(down_m_s=wish), down_m=-height)[-1].setpoint == HOVER
+
+
+def test_the_fence_stops_outward_but_not_inward_motion():
+    safety, t_s = engaged()
+    out = fly(safety, t_s, 4.0, Setpoint(3.0), north_m=301.0)[-1].setpoint
+    back = fly(safety, t_s + 4, 4.0, Setpoint(-3.0), north_m=301.0)[-1].setpoint
+    assert out is not None
+    assert back is not None
+    assert out.forward_m_s == pytest.approx(0, abs=1e-6)
+    assert back.forward_m_s == pytest.approx(-3.0, abs=1e-2)
+
+
+def test_the_gate_is_a_function_of_its_state():
+    safety, t_s = engaged()
+    args = (Setpoint(2.0), seen(t_s + DT), flying(t_s + DT), t_s + DT, LIMITS)
+    assert decide(safety.gate, *args) == decide(safety.gate, *args)
+
+
+def test_the_clock_jumping_back_ramps_nothing():
+    safety, t_s = engaged()
+    before = safety.gate
+    safety.allow(Setpoint(5.0), seen(t_s - 50), flying(t_s - 50), t_s - 50)
+    assert safety.gate.horizontal.v == before.horizontal.v
+
+
+@pytest.mark.parametrize("bad", [{"speed_m_s": 0.0}, {"accel_m_s2": math.nan}, {"floor_m": 200.0}])
+def test_impossible_limits_are_refused(bad):
+    with pytest.raises(ValueError, match=r"limit|floor"):
+        Limits(**bad)
+
+
+def test_an_untouched_gate_observes():
+    assert Gate().mode is Mode.OBSERVE
+    assert Gate().t_s == NEVER
