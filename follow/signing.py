@@ -1,0 +1,80 @@
+"""MAVLink 2 signing: the key file, and a time that never runs backwards.
+
+A signed packet carries a 48-bit time in units of 10 us since 2015 and a signature over itself and a shared key of 32
+bytes (https://mavlink.io/en/guide/message_signing.html).  A receiver refuses a time that is not later than the last,
+so the time must survive a restart and a clock set back.
+"""
+
+import os
+import stat
+import time
+from pathlib import Path
+
+from pymavlink.dialects.v20 import common as dialect
+
+KEY_BYTES = 32
+EPOCH_S = 1_420_070_400  # 2015-01-01 00:00 UTC in Unix time
+UNITS_PER_S = 100_000  # of 10 us
+SAVE_EVERY = 60 * UNITS_PER_S  # the stored time runs ahead by this much, so that a crash cannot make it repeat
+
+
+class Signing:
+    """A key and its clock.  `path` holds 32 bytes, raw or as 64 hexadecimal digits, and is readable by its owner only.
+
+    The time of the last packet is kept beside it in `<path>.time`.  Raises ValueError for a file that is open to
+    others or holds no key.
+    """
+
+    def __init__(self, path: Path):
+        self.key = read_key(path)
+        self._time_path = path.with_name(path.name + ".time")
+        self._floor = _read_time(self._time_path)
+        self._saved = self._floor
+
+    def install(self, mav: dialect.MAVLink) -> None:
+        """Make `mav` sign what it sends and refuse what is not signed with the same key."""
+        mav.signing.secret_key = self.key
+        mav.signing.sign_outgoing = True
+        mav.signing.allow_unsigned_callback = lambda _mav, _id: False  # without one, refusals are not counted
+        self.stamp(mav)
+
+    def stamp(self, mav: dialect.MAVLink) -> None:
+        """Move the time of the next packet forward to now, never back; keeps it on disk now and then."""
+        now = int((time.time() - EPOCH_S) * UNITS_PER_S)
+        mav.signing.timestamp = max(mav.signing.timestamp, now, self._floor)
+        if mav.signing.timestamp >= self._saved:
+            self._saved = mav.signing.timestamp + SAVE_EVERY
+            _write_time(self._time_path, self._saved)
+
+
+def read_key(path: Path) -> bytes:
+    """The 32 bytes in `path`; raises ValueError when others may read the file or it holds no key."""
+    mode = stat.S_IMODE(path.stat().st_mode)
+    if mode & 0o077:
+        raise ValueError(f"the signing key {path} must be its owner's alone (chmod 600), its mode is {mode:03o}")
+    content = path.read_bytes()
+    if len(content) == KEY_BYTES:
+        return content
+    try:
+        key = bytes.fromhex(content.decode("ascii").strip())
+    except ValueError:
+        key = b""
+    if len(key) != KEY_BYTES:
+        raise ValueError(
+            f"the signing key {path} must hold 32 bytes or 64 hexadecimal digits, not {len(content)} bytes"
+        )
+    return key
+
+
+def _read_time(path: Path) -> int:
+    try:
+        return int(path.read_text())
+    except (FileNotFoundError, ValueError):
+        return 0
+
+
+def _write_time(path: Path, value: int) -> None:
+    """Replace the stored time in one step, so that a power cut leaves the old or the new one."""
+    beside = path.with_name(path.name + ".new")
+    beside.write_text(f"{value}\n")
+    os.replace(beside, path)
