@@ -1,0 +1,141 @@
+"""`python -m sim.autopilot`: the simulated vehicle as a PX4 or ArduCopter on UDP.
+
+    python -m sim.autopilot --rules px4 --connect udpout:127.0.0.1:14540 --gcs udpout:127.0.0.1:14550
+
+The application listens at the first address, a ground station at the second.  The time is the machine's, or
+`--speedup` times as fast.
+"""
+
+import contextlib
+import math
+import select
+import socket
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from follow.messages import Autopilot
+from sim.autopilot_system import AutopilotSystem
+from sim.dynamics import Motion, Vehicle, Wind
+
+STEP_S = 0.005  # twice as often as the fastest telemetry that is asked for in practice
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """A simulated autopilot over UDP."""
+
+    rules: Literal["px4", "ardupilot"] = "px4"
+    """Whose rules it follows."""
+    connect: str = "udpout:127.0.0.1:14540"
+    """Where the application listens (udpout:HOST:PORT), or where to wait for it (udpin:HOST:PORT)."""
+    gcs: str = ""
+    """The same for a ground station; empty for none."""
+    height_m: float = 0.0
+    """Start hovering this high; 0 on the ground."""
+    heading_deg: float = 0.0
+    """Start looking this way, clockwise from north."""
+    wind_m_s: float = 0.0
+    """Steady wind toward the east."""
+    seed: int = 0
+    """Of the gusts and of the wandering of a vehicle that should stand still."""
+    speedup: float = 1.0
+    """Simulated seconds in one of the machine's."""
+    seconds: float = 0.0
+    """End after this many simulated seconds; 0 never."""
+    signing_key: Path | None = None
+    """A file with 32 bytes: sign packets and accept only signed ones."""
+    set: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """NAME=VALUE of a parameter, repeatable."""
+
+
+class UdpPort:
+    """One UDP way: `udpout:` speaks first to an address, `udpin:` waits at one and answers whoever spoke last."""
+
+    def __init__(self, uri: str):
+        kind, _, address = uri.partition(":")
+        host, _, port = address.rpartition(":")
+        if kind not in ("udpout", "udpin") or not port.isdigit():
+            raise ValueError(f"a port is written udpout:HOST:PORT or udpin:HOST:PORT, not {uri!r}")
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.setblocking(False)
+        self._peer: tuple[str, int] | None = None
+        if kind == "udpin":
+            self.socket.bind((host, int(port)))
+        else:
+            self._peer = (socket.gethostbyname(host), int(port))
+            self.socket.bind(("", 0))
+
+    def receive(self) -> list[bytes]:
+        """Every datagram that waits."""
+        datagrams = []
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                data, self._peer = self.socket.recvfrom(65536)
+                datagrams.append(data)
+        return datagrams
+
+    def send(self, packet: bytes) -> None:
+        """Send one packet; nobody listening is not an error."""
+        if self._peer is not None:
+            with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
+                self.socket.sendto(packet, self._peer)
+
+    def close(self) -> None:
+        """Give the port back."""
+        self.socket.close()
+
+
+def build(options: Options) -> AutopilotSystem:
+    """The system that the options describe."""
+    start = Motion(down_m=-options.height_m, yaw_rad=math.radians(options.heading_deg))
+    wind = Wind(options.wind_m_s, toward_rad=math.pi / 2)
+    vehicle = Vehicle(Autopilot(options.rules), start, wind, options.seed)
+    key = options.signing_key.read_bytes() if options.signing_key else None
+    if key is not None and len(key) != 32:
+        raise ValueError(f"--signing-key {options.signing_key} must hold 32 bytes, not {len(key)}")
+    system = AutopilotSystem(Autopilot(options.rules), vehicle, links=2 if options.gcs else 1, key=key)
+    known = system.flight.parameters
+    for setting in options.set:
+        name, _, value = setting.partition("=")
+        if name not in known:
+            raise ValueError(f"--set knows no parameter {name!r} of {options.rules}")
+        known[name] = type(known[name])(float(value))
+    return system
+
+
+def run(system: AutopilotSystem, ports: list[UdpPort], speedup: float = 1.0, seconds: float = 0.0) -> None:
+    """Serve the ports until `seconds` of simulated time are over (0: for ever)."""
+    began = time.monotonic()
+    while not seconds or system.t_s < seconds:
+        ready, _, _ = select.select([port.socket for port in ports], [], [], STEP_S)
+        system.step((time.monotonic() - began) * speedup)
+        for link, port in enumerate(ports):
+            if port.socket in ready:
+                for data in port.receive():
+                    system.receive(data, link)
+        for link, port in enumerate(ports):
+            for packet in system.take(link):
+                port.send(packet)
+
+
+def main() -> None:
+    """Run until interrupted."""
+    options = tyro.cli(Options, description=__doc__)
+    try:
+        system = build(options)
+        ports = [UdpPort(uri) for uri in (options.connect, options.gcs) if uri]
+    except (ValueError, OSError) as error:
+        sys.exit(f"sim.autopilot: {error}")
+    with contextlib.suppress(KeyboardInterrupt):
+        run(system, ports, options.speedup, options.seconds)
+    for port in ports:
+        port.close()
+
+
+if __name__ == "__main__":
+    main()
