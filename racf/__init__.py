@@ -7,11 +7,26 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from racf.box import Box as Box
+    from racf.params import Params as Params
+    from racf.params import preset as preset
+    from racf.refine import Refined as Refined
+    from racf.refine import Refiner as Refiner
     from racf.track import Track as Track
+    from racf.tracker import Racf as Racf
+    from racf.tracker import warm_up as warm_up
 
-__all__ = ["Box", "Track"]
+__all__ = ["Box", "Params", "Racf", "Refined", "Refiner", "Track", "preset", "warm_up"]
 
-_HOME = {"Box": "racf.box", "Track": "racf.track"}
+_HOME = {
+    "Box": "racf.box",
+    "Params": "racf.params",
+    "Racf": "racf.tracker",
+    "Refined": "racf.refine",
+    "Refiner": "racf.refine",
+    "Track": "racf.track",
+    "preset": "racf.params",
+    "warm_up": "racf.tracker",
+}
 
 
 def __getattr__(name: str) -> Any:

@@ -1,0 +1,123 @@
+"""Colour names: how likely people are to call a colour by each of eleven basic names.
+
+The probabilities are computed here from the results of the XKCD colour survey (2010; five million answers), whose 949
+most common names with their mean colours matplotlib ships.  Each surveyed name is counted to the basic term of Berlin
+and Kay that it contains or is nearest to, and votes for colours near it in CIE Lab:
+
+    p(term | colour) ~ sum over names of that term of exp(-|Lab(colour) - Lab(name)|^2 / (2 sigma^2))
+
+The eleven probabilities sum to one, so ten coordinates hold them all: `table` gives them in an orthonormal basis of
+that plane (distances between colours' distributions are kept), with the origin at "all names equally likely".
+"""
+
+import functools
+import importlib.util
+from pathlib import Path
+
+import cv2
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+Float32 = NDArray[np.float32]
+
+TERMS = ("black", "blue", "brown", "grey", "green", "orange", "pink", "purple", "red", "white", "yellow")
+# Names in the survey that mean one of the terms without containing it; the rest vote by their nearest kin.
+KIN = {
+    "gray": "grey", "tan": "brown", "beige": "brown", "violet": "purple", "lavender": "purple", "magenta": "pink",
+    "teal": "green", "olive": "green", "navy": "blue", "cyan": "blue", "maroon": "red", "gold": "yellow",
+    "mauve": "purple", "turquoise": "green", "salmon": "pink", "peach": "orange", "cream": "white", "aqua": "blue",
+    "lime": "green", "rose": "pink", "lilac": "purple", "indigo": "purple", "crimson": "red", "khaki": "brown",
+}  # fmt: skip
+SIGMA_LAB = 10.0  # about the spread of what one common name is used for
+LEVELS = 32  # per channel of the table: 8 grey levels a step, as usual for colour-name tables
+CHANNELS = len(TERMS) - 1
+
+
+def _survey() -> dict[str, str]:
+    """Survey name -> "#rrggbb".  Only matplotlib's data file is run: the package itself takes 0.8 s to import."""
+    package = importlib.util.find_spec("matplotlib")
+    if package is None or package.origin is None:
+        raise ImportError("colour names need matplotlib's list of the XKCD survey's names; matplotlib is missing")
+    path = Path(package.origin).parent / "_color_data.py"
+    spec = importlib.util.spec_from_file_location("racf_xkcd_survey", path)
+    if spec is None or spec.loader is None:
+        raise ImportError(f"matplotlib's colour list {path} cannot be read")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return {name.removeprefix("xkcd:"): value for name, value in module.XKCD_COLORS.items()}
+
+
+def _term(name: str) -> str | None:
+    """The basic term that a surveyed name counts for: the last one it contains ("bluish green" is a green)."""
+    for word in reversed(name.replace("/", " ").split()):
+        if word in TERMS:
+            return word
+        if word in KIN:
+            return KIN[word]
+    return None
+
+
+def _lab(bgr: NDArray[np.uint8]) -> Float32:
+    """CIE Lab (L in 0..100) of (N, 3) BGR bytes."""
+    scaled = bgr.reshape(1, -1, 3).astype(np.float32) / np.float32(255)
+    return np.asarray(cv2.cvtColor(scaled, cv2.COLOR_BGR2Lab), dtype=np.float32)[0]
+
+
+@functools.lru_cache(maxsize=1)
+def probabilities() -> Float32:
+    """(LEVELS^3, 11): p(term | colour) at the middle of each cell of the BGR cube; blue is the slowest index."""
+    named = [(TERMS.index(term), value) for name, value in _survey().items() if (term := _term(name)) is not None]
+    votes = np.zeros((len(named), len(TERMS)), np.float32)
+    votes[np.arange(len(named)), [index for index, _ in named]] = 1
+    hex_rgb = np.array([list(bytes.fromhex(value[1:])) for _, value in named], np.uint8)
+    seeds = _lab(np.ascontiguousarray(hex_rgb[:, ::-1]))
+    middle = (np.arange(LEVELS) * (256 // LEVELS) + 128 // LEVELS).astype(np.uint8)
+    cube = np.stack(np.meshgrid(middle, middle, middle, indexing="ij"), axis=-1).reshape(-1, 3)
+    lab = _lab(cube)
+    near = lab @ seeds.T * 2
+    near -= np.sum(lab**2, axis=1, keepdims=True)
+    near -= np.sum(seeds**2, axis=1)
+    near -= near.max(axis=1, keepdims=True)  # colours far from every name still get their nearest one's
+    near *= np.float32(1 / (2 * SIGMA_LAB**2))
+    likely = np.exp(near, out=near) @ votes
+    return np.asarray(likely / likely.sum(axis=1, keepdims=True), dtype=np.float32)
+
+
+@functools.lru_cache(maxsize=1)
+def table() -> Float32:
+    """(LEVELS^3, 10): the probabilities in an orthonormal (Helmert) basis of the plane where they sum to one."""
+    terms = len(TERMS)
+    basis = np.zeros((terms, CHANNELS), np.float64)
+    for k in range(1, terms):
+        basis[:k, k - 1] = 1 / np.sqrt(k * (k + 1))
+        basis[k, k - 1] = -k / np.sqrt(k * (k + 1))
+    return np.ascontiguousarray(probabilities() @ basis.astype(np.float32))
+
+
+def colour_names_numpy(patch: NDArray[np.uint8], cell: int, names: Float32) -> Float32:
+    """The equation that `colour_names` compiles: look each pixel up, average over cells.  (H, W, 3) -> (h, w, 10)."""
+    step = 256 // LEVELS
+    b, g, r = (patch[..., i].astype(np.int64) // step for i in range(3))
+    rows, cols = patch.shape[0] // cell, patch.shape[1] // cell
+    looked_up = names[(b * LEVELS + g) * LEVELS + r][: rows * cell, : cols * cell]
+    return np.asarray(looked_up.reshape(rows, cell, cols, cell, -1).mean(axis=(1, 3)), dtype=np.float32)
+
+
+@numba.njit(cache=True, fastmath=True)
+def colour_names(patch: NDArray[np.uint8], cell: int, names: Float32, out: Float32, first: int) -> None:
+    """Write the colour names of (H, W, 3) BGR into `out[..., first:first+10]`; same as `colour_names_numpy`."""
+    step = 256 // LEVELS
+    channels = names.shape[1]
+    share = np.float32(1.0 / (cell * cell))
+    for row in range(out.shape[0]):
+        for col in range(out.shape[1]):
+            total = np.zeros(CHANNELS, np.float32)
+            for y in range(row * cell, (row + 1) * cell):
+                for x in range(col * cell, (col + 1) * cell):
+                    b, g, r = patch[y, x, 0] // step, patch[y, x, 1] // step, patch[y, x, 2] // step
+                    index = (b * LEVELS + g) * LEVELS + r
+                    for k in range(channels):
+                        total[k] += names[index, k]
+            for k in range(channels):
+                out[row, col, first + k] = total[k] * share

@@ -1,0 +1,109 @@
+"""What can be set about the tracker: one flat frozen dataclass, and the paper's variants as presets.
+
+[Paper] is Li et al., "Learning Residue-Aware Correlation Filters and Refining Scale Estimates with the GrabCut for
+Real-Time UAV Tracking" (2021); [ARCF] the published parameters of ARCF-HC, whose features and scale filter the paper
+says it uses; [measured] points to the tables in docs/racf.md.
+"""
+
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+from typing_extensions import Self
+
+
+@dataclass(frozen=True, slots=True)
+class Params:
+    """All numbers and switches of a tracker.  Lengths are pixels of the fixed-size sample unless a unit says else."""
+
+    # Sample and features [ARCF]
+    cell_px: int = 4
+    search_area: float = 5.0  # side of the square sample over sqrt(target area)
+    sample_min_px: int = 150  # the sample is resampled into this range of sides ...
+    sample_max_px: int = 200
+    label_sigma: float = 1 / 16  # of the Gaussian label, over sqrt(target area) in cells
+    learning_rate: float = 0.0192  # alpha, Eq. 14
+    colour_names: bool = True  # on colour pictures; grey ones have none
+
+    # Filter: the terms of Eq. 3 and their solver
+    residue: float = 1.0  # eta [Paper]
+    residue_to_model: bool = True  # residue against the previous model, not the previous sample [measured]
+    spatial: float = 0.5  # theta [Paper]
+    bowl: float = 1.5  # rho: height of the bowl's rim [Paper, form measured]
+    temporal: float = 0.01  # tau [Paper]
+    ridge: float = 0.55  # lambda [Paper]
+    aberrance: float = 0.0  # gamma, Eq. 2: ARCF's term
+    admm_iterations: int = 2  # [Paper]
+    penalty: float = 1.0  # mu of the first iteration [ARCF] ...
+    penalty_growth: float = 10.0  # ... times this each iteration (beta) ...
+    penalty_max: float = 10_000.0  # ... up to this (mu_max)
+    newton_iterations: int = 5  # on the interpolated response [ARCF]
+
+    # Scale filter [ARCF, fDSST]
+    scales: int = 33
+    scale_step: float = 1.03
+    scale_sigma: float = 0.5  # of the scale label, over sqrt(scales)
+    scale_learning_rate: float = 0.025
+    scale_ridge: float = 1e-4
+    scale_model_area_px: int = 512  # at most
+
+    # GrabCut refinement
+    refine: bool = False
+    refine_size_px: int = 52  # s_g [Paper]
+    refine_margin_px: float = 12.0  # Delta s, in pixels of the frame [Paper]
+    refine_min_iou: float = 0.7  # sigma: the paper prints 0.5 [measured]
+    refine_iterations: int = 3
+    refine_blend: float = 0.5  # share of the segment's box in the answer [measured]
+    refine_min_target_px: float = 20.0  # smaller targets are too few pixels to segment [measured]
+
+    # What the follower needs and the paper lacks
+    robust: bool = False  # all of the following; each can be switched off
+    gate_learning: bool = True  # no learning from frames that confidence calls occluded
+    gate_psr: float = 0.85  # ... that is: PSR below this share of its running mean [measured]
+    limit_scale: bool = True  # at most one scale step a frame
+
+    @classmethod
+    def field_types(cls) -> dict[str, type]:
+        """Name and type (bool, int or float) of every parameter, for a command line's `--set name=value`."""
+        return {field.name: type(field.default) for field in fields(cls)}
+
+    def with_settings(self, settings: dict[str, str]) -> Self:
+        """A copy with fields set from text; raises ValueError naming the field, the rule and the value."""
+        types = self.field_types()
+        values: dict[str, Any] = {}
+        for name, text in settings.items():
+            if name not in types:
+                raise ValueError(f"the tracker has no setting {name!r}; it has {', '.join(sorted(types))}")
+            values[name] = _parse(name, text, types[name])
+        return replace(self, **values)
+
+
+def _parse(name: str, text: str, kind: type) -> bool | int | float:
+    if kind is bool:
+        words = {"true": True, "1": True, "on": True, "": True, "false": False, "0": False, "off": False}
+        if text.lower() not in words:
+            raise ValueError(f"{name} is true or false, not {text!r}")
+        return words[text.lower()]
+    try:
+        return kind(text)
+    except ValueError:
+        raise ValueError(f"{name} is a number ({kind.__name__}), not {text!r}") from None
+
+
+_RACF_MINUS = Params()
+_RACF_MINUS_MINUS = replace(_RACF_MINUS, spatial=0.0, temporal=0.0)
+PRESETS = {
+    "racf": replace(_RACF_MINUS, refine=True),
+    "racf-": _RACF_MINUS,
+    "racf--": _RACF_MINUS_MINUS,
+    # Ridge and rate of the baselines are those of their authors' published parameter files.
+    "bacf": replace(_RACF_MINUS_MINUS, residue=0.0, ridge=0.01, learning_rate=0.013),
+    "arcf-hc": replace(_RACF_MINUS_MINUS, residue=0.0, ridge=0.01, aberrance=0.71, admm_iterations=5),
+}
+"""The paper's three variants (Table 1) and its two baselines."""
+
+
+def preset(name: str) -> Params:
+    """The parameters known on the command line as `name`; raises ValueError listing the names."""
+    if name not in PRESETS:
+        raise ValueError(f"there is no tracker {name!r}; there are {', '.join(PRESETS)}")
+    return PRESETS[name]

@@ -1,0 +1,102 @@
+"""The one-dimensional scale filter (fDSST, Danelljan 2017): a correlation filter over 33 sizes of the target.
+
+Letters: s number of scales, d features of one scale.  num = ysᶠ conj(xsᶠ) (s, d) and den = sum_d |xsᶠ|^2 (s,) are
+running means; the response over scales is F^-1( sum_d num . zsᶠ / (den + lambda) ).
+"""
+
+import functools
+import math
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from racf import hog
+from racf.params import Params
+from racf.patch import shrunk
+
+UInt8 = NDArray[np.uint8]
+Float32 = NDArray[np.float32]
+Complex64 = NDArray[np.complex64]
+
+
+class ScaleFilter:
+    """Answers how much larger the target is than it was; `base_w`, `base_h` are its size in the first frame."""
+
+    def __init__(self, params: Params, base_w: float, base_h: float) -> None:
+        self.params, cell = params, params.cell_px
+        shrink = min(1.0, math.sqrt(params.scale_model_area_px / (base_w * base_h)))
+        # At least two cells a side: with one there is no shape to compare.
+        self.model_w = max(2, math.floor(base_w * shrink / cell)) * cell
+        self.model_h = max(2, math.floor(base_h * shrink / cell)) * cell
+        count = params.scales
+        steps = np.arange(count) - count // 2
+        self.factors = params.scale_step ** steps.astype(np.float64)
+        sigma = params.scale_sigma * math.sqrt(count)
+        label = np.exp(-0.5 * (steps / sigma) ** 2)
+        self._window = np.hanning(count + 2)[1:-1].astype(np.float32)[:, None]
+        self._waves, self._waves_back = _waves(count)
+        self._label_f = (self._waves @ label).astype(np.complex64)[:, None]
+        self._unit_x, self._unit_y = self._unit_maps()
+        self._bins = hog.orientation_bins()
+        self._num: Complex64 | None = None
+        self._den: Float32 | None = None
+        self._last: tuple[tuple[float, float, float, float], Complex64] | None = None
+
+    def _unit_maps(self) -> tuple[Float32, Float32]:
+        """(s * h, w): position of each patch pixel, in units of the target's width and height from its centre."""
+        across = (np.arange(self.model_w) + 0.5) / self.model_w - 0.5
+        down = (np.arange(self.model_h) + 0.5) / self.model_h - 0.5
+        unit_x = np.repeat(self.factors, self.model_h)[:, None] * across[None, :]
+        unit_y = (self.factors[:, None] * down[None, :]).reshape(-1, 1) * np.ones((1, self.model_w))
+        return unit_x.astype(np.float32), unit_y.astype(np.float32)
+
+    def sample(self, image: UInt8, x: float, y: float, w: float, h: float) -> Complex64:
+        """(s, d) spectrum over scales of the target's windowed FHOG; one remap serves all scales."""
+        key = (x, y, w, h)
+        if self._last is not None and self._last[0] == key:
+            return self._last[1]
+        factor = max(int(min(w / self.model_w, h / self.model_h)), 1)
+        reach = float(self.factors[-1])
+        source, left, top = shrunk(image, (x - w * reach / 2, y - h * reach / 2, w * reach, h * reach), factor)
+        map_x = self._unit_x * np.float32(w / factor) + np.float32((x - left) / factor - 0.5)
+        map_y = self._unit_y * np.float32(h / factor) + np.float32((y - top) / factor - 0.5)
+        patches = cv2.remap(source, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        layered = np.asarray(patches, dtype=np.uint8).reshape(self.params.scales, self.model_h, self.model_w, -1)
+        cell = self.params.cell_px
+        out = np.empty((self.params.scales, self.model_h // cell, self.model_w // cell, hog.CHANNELS), np.float32)
+        for patch, cells in zip(layered, out, strict=True):
+            hog.fhog(patch, cell, self._bins, cells)
+        features = out.reshape(self.params.scales, -1) * self._window
+        spectrum = self._waves.astype(np.complex64) @ features
+        self._last = (key, spectrum)
+        return spectrum
+
+    def estimate(self, image: UInt8, x: float, y: float, w: float, h: float) -> int:
+        """How many steps of `scale_step` the target's size changed: the response's maximum."""
+        if self._num is None or self._den is None:
+            return 0
+        sample_f = self.sample(image, x, y, w, h)
+        response_f = np.sum(self._num * sample_f, axis=1) / (self._den + self.params.scale_ridge)
+        response = (self._waves_back @ response_f).real
+        return int(np.argmax(response)) - self.params.scales // 2
+
+    def learn(self, image: UInt8, x: float, y: float, w: float, h: float) -> None:
+        """Take the target at this place and size into the running means."""
+        sample_f = self.sample(image, x, y, w, h)
+        num = self._label_f * sample_f.conj()
+        den = np.sum(np.abs(sample_f) ** 2, axis=1)
+        if self._num is None or self._den is None:
+            self._num, self._den = num, den
+            return
+        rate = np.float32(self.params.scale_learning_rate)
+        self._num += rate * (num - self._num)
+        self._den += rate * (den - self._den)
+
+
+@functools.lru_cache(maxsize=4)
+def _waves(count: int) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """The s x s discrete Fourier transform and its inverse; scale 1 (index s//2) is position 0."""
+    steps = np.arange(count) - count // 2
+    waves = np.exp(-2j * np.pi * np.outer(np.arange(count), steps) / count)
+    return waves, waves.conj().T / count

@@ -1,0 +1,139 @@
+"""The ADMM solve against dense linear algebra and the paper's objective."""
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+import scipy.fft
+
+from racf.filter import bowl_weight, learn, solve_g, solve_rank_two_numpy
+from racf.fourier import Grid
+from racf.params import Params
+from racf.response import refine_peak
+
+ROWS, COLS, CHANNELS, SUPPORT = 9, 12, 3, (4, 5)
+
+
+def planes(z: np.ndarray) -> np.ndarray:
+    return np.stack([z.real, z.imag]).astype(np.float32)
+
+
+def random_planes(rng, *shape) -> np.ndarray:
+    return rng.normal(size=(2, *shape)).astype(np.float32)
+
+
+def centred_rfft2(x: np.ndarray) -> np.ndarray:
+    """scipy's own transform of a picture whose middle is position 0."""
+    return scipy.fft.rfft2(scipy.fft.ifftshift(x, axes=(0, 1)), axes=(0, 1))
+
+
+@pytest.fixture
+def grid() -> Grid:
+    return Grid(ROWS, COLS, SUPPORT)
+
+
+@pytest.mark.parametrize("size", [(9, 12), (12, 9), (10, 10), (7, 7)])
+def test_dense_transforms_equal_an_fft(size):
+    rng = np.random.default_rng(0)
+    grid = Grid(*size, (4, 5))
+    x = rng.normal(size=(*size, CHANNELS)).astype(np.float32)
+    np.testing.assert_allclose(grid.forward(x), planes(centred_rfft2(x)), atol=1e-4)
+    top, left = size[0] // 2 - 2, size[1] // 2 - 2
+    padded = np.zeros_like(x)
+    padded[top : top + 4, left : left + 5] = f = x[:4, :5]
+    np.testing.assert_allclose(grid.forward_support(f), planes(centred_rfft2(padded)), atol=1e-4)
+    np.testing.assert_allclose(grid.inverse_support(grid.forward(x)), x[top : top + 4, left : left + 5], atol=1e-4)
+
+
+def test_two_sherman_morrisons_equal_a_dense_solve():
+    rng = np.random.default_rng(1)
+    x, delta, rhs = (random_planes(rng, 4, 3, CHANNELS) for _ in range(3))
+    eta, shift = 0.7, 2.5
+    solved = solve_rank_two_numpy(x, delta, rhs, eta, shift)
+    for n in np.ndindex(4, 3):
+        xn, dn, bn = (a[0][n] + 1j * a[1][n] for a in (x, delta, rhs))
+        dense = np.outer(xn, xn.conj()) + eta * np.outer(dn, dn.conj()) + shift * np.eye(CHANNELS)
+        np.testing.assert_allclose(solved[0][n] + 1j * solved[1][n], np.linalg.solve(dense, bn), rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("gain", [1.0, 1.71])
+def test_the_compiled_step_equals_the_numpy_equation(gain):
+    rng = np.random.default_rng(2)
+    x, d, f, u = (random_planes(rng, 6, CHANNELS) for _ in range(4))
+    y = random_planes(rng, 6)
+    eta, before, mu = 0.9, 0.5, 3.0
+    zeta = u - before * f
+    yx = (y[0] + 1j * y[1])[..., None] * (x[0] + 1j * x[1])
+    scaled_x = x * np.float32(np.sqrt(gain))
+    expected = solve_rank_two_numpy(scaled_x, d, planes(yx) + mu * f - zeta, eta, mu)
+    g = np.empty_like(u)
+    solve_g(x, d, y, f, u, g, np.float32(eta), np.float32(before), np.float32(mu), np.float32(gain))
+    np.testing.assert_allclose(g, expected, rtol=1e-3, atol=1e-4)
+    np.testing.assert_allclose(u, mu * expected + zeta, rtol=1e-3, atol=1e-3)
+
+
+class Problem:
+    """Eq. 3 on a tiny grid, with circulant matrices built sample by sample: no Fourier transform in it."""
+
+    def __init__(self, params: Params) -> None:
+        rng = np.random.default_rng(3)
+        self.params = params
+        self.x = rng.normal(size=(ROWS, COLS, CHANNELS)).astype(np.float32)
+        self.delta = 0.3 * rng.normal(size=self.x.shape).astype(np.float32)
+        self.previous = 0.1 * rng.normal(size=(*SUPPORT, CHANNELS)).astype(np.float32)
+        fy, fx = np.fft.fftfreq(ROWS, 1 / ROWS), np.fft.fftfreq(COLS, 1 / COLS)
+        self.y = np.exp(-0.5 * (fy[:, None] ** 2 + fx[None, :] ** 2)).astype(np.float32)
+
+    def correlations(self, x: np.ndarray) -> np.ndarray:
+        """(H W, m n D): row (r, c) holds the sample's part that the filter sees when shifted by (-r, -c)."""
+        top, left = ROWS // 2 - SUPPORT[0] // 2, COLS // 2 - SUPPORT[1] // 2
+        rows = []
+        for r in range(ROWS):
+            for c in range(COLS):
+                shifted = np.roll(x, (r, c), axis=(0, 1))
+                rows.append(shifted[top : top + SUPPORT[0], left : left + SUPPORT[1]].ravel())
+        return np.array(rows, dtype=np.float64)
+
+    def normal_equations(self) -> tuple[np.ndarray, np.ndarray]:
+        p, size = self.params, ROWS * COLS
+        a, d = self.correlations(self.x), self.correlations(self.delta)
+        w2 = np.repeat(bowl_weight(*SUPPORT, p.bowl).ravel() ** 2, CHANNELS)
+        matrix = (a.T @ a + p.residue * d.T @ d) / size
+        matrix += np.diag(p.spatial * w2 + p.temporal + p.ridge)
+        return matrix, a.T @ self.y.ravel() / size + p.temporal * self.previous.ravel()
+
+    def objective(self, f: np.ndarray) -> float:
+        matrix, right = self.normal_equations()
+        return float(0.5 * f.ravel() @ matrix @ f.ravel() - right @ f.ravel())
+
+    def solve(self, iterations: int, growth: float) -> np.ndarray:
+        grid = Grid(ROWS, COLS, SUPPORT)
+        params = dataclasses.replace(self.params, admm_iterations=iterations, penalty_growth=growth)
+        y_f = planes(scipy.fft.rfft2(self.y))
+        x_f, d_f = grid.forward(self.x), grid.forward(self.delta)
+        return learn(grid, params, x_f, d_f, y_f, self.previous).filter
+
+
+@pytest.mark.parametrize("residue", [0.0, 1.0])
+def test_admm_converges_to_the_direct_minimiser(residue):
+    problem = Problem(Params(residue=residue, temporal=0.2))
+    matrix, right = problem.normal_equations()
+    direct = np.linalg.solve(matrix, right).reshape(*SUPPORT, CHANNELS)
+    np.testing.assert_allclose(problem.solve(300, growth=1.0), direct, atol=2e-4 * np.abs(direct).max() + 1e-5)
+
+
+def test_the_objective_falls_with_the_iterations():
+    problem = Problem(Params())
+    values = [problem.objective(problem.solve(n, growth=1.0)) for n in (1, 2, 3, 5, 10)]
+    assert all(later < earlier + 1e-9 for earlier, later in itertools.pairwise(values))
+
+
+@pytest.mark.parametrize("size", [(20, 21), (21, 20)])
+@pytest.mark.parametrize("shift", [(0.3, -0.4), (-2.25, 3.1)])
+def test_newton_finds_the_peak_between_the_cells(size, shift):
+    fy, fx = np.fft.fftfreq(size[0], 1 / size[0]), np.fft.fftfreq(size[1], 1 / size[1])
+    bump = np.exp(-0.5 * ((fy[:, None] - shift[0]) ** 2 + (fx[None, :] - shift[1]) ** 2) / 1.5**2)
+    start = (round(shift[0]), round(shift[1]))
+    found = refine_peak(np.fft.rfft2(bump).astype(np.complex64), size[1], *start, steps=5)
+    assert found == pytest.approx(shift, abs=0.02)
