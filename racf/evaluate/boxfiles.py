@@ -1,0 +1,62 @@
+"""Files of boxes: the text of benchmarks and trackers, and the MATLAB files of the toolkits.
+
+A text file has a line a frame, four numbers apart by comma, blanks or tab, `NaN` where there is no box.
+"""
+
+import re
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from racf.evaluate.metrics import Boxes
+
+_APART = re.compile(r"[,;\s]+")
+
+
+def read_boxes(path: Path) -> Boxes:
+    """Boxes of a `.txt` (or `.csv`) or `.mat` file, (frames, 4), as written; raises ValueError naming file and line."""
+    return _read_mat(path) if path.suffix == ".mat" else _read_text(path)
+
+
+def write_boxes(path: Path, boxes: Boxes) -> None:
+    """A line a frame, `x,y,w,h`, to a thousandth of a pixel."""
+    np.savetxt(path, boxes, fmt="%.3f", delimiter=",")
+
+
+def read_numbers(path: Path) -> list[list[float]]:
+    """The numbers of each line that has any; raises ValueError naming file and line."""
+    rows: list[list[float]] = []
+    for number, line in enumerate(path.read_text(encoding="utf-8-sig").splitlines(), start=1):
+        words = [word for word in _APART.split(line.strip()) if word]
+        try:
+            row = [float(word) for word in words]
+        except ValueError:
+            raise ValueError(f"{path}, line {number}: not numbers: {line.strip()!r}") from None
+        if row:
+            rows.append(row)
+    return rows
+
+
+def _read_text(path: Path) -> Boxes:
+    rows = read_numbers(path)
+    if not rows:
+        raise ValueError(f"{path}: a file of boxes has a line a frame; this one is empty")
+    for number, row in enumerate(rows, start=1):
+        if len(row) != 4:
+            raise ValueError(f"{path}, row {number}: a box has four numbers x, y, w, h, not {len(row)}")
+    return np.asarray(rows, dtype=np.float64)
+
+
+def _read_mat(path: Path) -> Boxes:
+    """`results{1}.res` of the toolkits, or a matrix `res` or `results` of four columns."""
+    from scipy.io import loadmat  # noqa: PLC0415 - only for MATLAB files
+
+    content = cast("dict[str, Any]", loadmat(path, squeeze_me=True, struct_as_record=False))
+    found = content.get("results", content.get("res"))
+    while isinstance(found, np.ndarray) and found.dtype == object:  # a cell of runs: the first is the one-pass run
+        found = found.flat[0]
+    boxes = np.asarray(getattr(found, "res", found))
+    if boxes.ndim != 2 or boxes.shape[1] not in {4, 5} or not np.issubdtype(boxes.dtype, np.number):
+        raise ValueError(f"{path}: neither results{{1}}.res nor a matrix of four columns is in this file")
+    return boxes[:, -4:].astype(np.float64)  # VisDrone's toolkit puts the frame's number first

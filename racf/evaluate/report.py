@@ -1,0 +1,227 @@
+"""What an evaluation says: scores of each tracker by sequence, their means, tables and JSON.  Shares are percent."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from racf.evaluate.benchmarks import Sequence
+from racf.evaluate.metrics import Boxes, Convention, Score, interval_of_mean, mean_score, score
+from racf.evaluate.runner import Run
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judged:
+    """One tracker on one sequence from one start, in both conventions."""
+
+    toolkit: Score
+    strict: Score
+
+    @classmethod
+    def of(cls, boxes: Boxes, sequence: Sequence) -> "Judged":
+        """Judge boxes against a sequence's annotation."""
+        return cls(score(boxes, sequence.truth), score(boxes, sequence.truth, Convention.STRICT))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Row:
+    """One tracker's results by sequence name; `jittered` holds those from wrong first boxes, one for each start."""
+
+    label: str
+    nominal: dict[str, Judged]
+    fps: dict[str, float] = field(default_factory=dict)
+    jittered: dict[str, list[Judged]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Text in cells, for the screen and for Markdown."""
+
+    title: str
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+    def markdown(self) -> str:
+        """The table with its title as a heading."""
+        lines = [f"## {self.title}", "", _bars(self.header), _bars(["---", *["---:"] * (len(self.header) - 1)])]
+        return "\n".join([*lines, *(_bars(row) for row in self.rows), ""])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Report:
+    """All rows over the same sequences.
+
+    `counted` names the sequences that the means are over: those that every row has.
+    """
+
+    sequences: tuple[Sequence, ...]
+    rows: tuple[Row, ...]
+    counted: tuple[str, ...]
+
+    def names(self, benchmark: str | None = None, attribute: str | None = None) -> list[str]:
+        """Counted sequences, of one benchmark or with one attribute."""
+        return [
+            s.name
+            for s in self.sequences
+            if s.name in self.counted
+            and (benchmark is None or s.benchmark == benchmark)
+            and (attribute is None or attribute in s.attributes)
+        ]
+
+    def benchmarks(self) -> list[str]:
+        """Benchmarks that have counted sequences."""
+        return sorted({s.benchmark for s in self.sequences if s.name in self.counted})
+
+    def attributes(self) -> list[str]:
+        """Attributes that at least two counted sequences have, as in the toolkits' plots."""
+        every = sorted({a for s in self.sequences for a in s.attributes})
+        return [a for a in every if len(self.names(attribute=a)) >= 2]
+
+    def as_json(self) -> dict[str, Any]:
+        """The contract of `racf eval --json`: see docs/evaluation.md."""
+        return {row.label: self._row_json(row) for row in self.rows}
+
+    def _row_json(self, row: Row) -> dict[str, Any]:
+        counted = [row.nominal[name] for name in self.counted]
+        out: dict[str, Any] = _figures(counted)
+        fps = [row.fps[name] for name in self.counted if name in row.fps]
+        if fps:
+            out["fps"] = round(float(np.mean(fps)), 2)
+        out["interval_95"] = {
+            "precision_20px": _rounded(interval_of_mean([j.toolkit.precision_20px for j in counted])),
+            "auc": _rounded(interval_of_mean([j.toolkit.auc for j in counted])),
+        }
+        if row.jittered:
+            starts = [judged for name in self.counted for judged in row.jittered[name]]
+            out["jittered"] = {"starts": len(starts) // len(self.counted), **_figures(starts)}
+        if len(self.benchmarks()) > 1:
+            out["benchmarks"] = {b: _figures([row.nominal[n] for n in self.names(b)]) for b in self.benchmarks()}
+        if self.attributes():
+            out["attributes"] = {
+                a: _figures([row.nominal[n] for n in self.names(attribute=a)]) for a in self.attributes()
+            }
+        out["sequences"] = {s.name: self._sequence_json(row, s) for s in self.sequences if s.name in row.nominal}
+        return out
+
+    def _sequence_json(self, row: Row, sequence: Sequence) -> dict[str, Any]:
+        out: dict[str, Any] = _figures([row.nominal[sequence.name]])
+        if sequence.name in row.fps:
+            out["fps"] = round(row.fps[sequence.name], 2)
+        if sequence.name in row.jittered:
+            out["jittered"] = _figures(row.jittered[sequence.name])
+        out["frames"] = len(sequence.truth)
+        out["benchmark"] = sequence.benchmark
+        out["counted"] = sequence.name in self.counted
+        return out
+
+    def overall(self) -> Table:
+        """A row a tracker: both figures with their intervals, the strict ones, speed, and the jittered mean."""
+        summary = self.as_json()
+        timed, shaken = any(row.fps for row in self.rows), any(row.jittered for row in self.rows)
+        header = ["tracker", "precision", "95 %", "AUC", "95 %", "strict precision", "strict AUC"]
+        header += ["fps"] * timed + ["jittered precision", "jittered AUC"] * shaken
+        rows: list[tuple[str, ...]] = []
+        for label, figures in summary.items():
+            low, high = figures["interval_95"]["precision_20px"], figures["interval_95"]["auc"]
+            cells = [label, _two(figures["precision_20px"]), f"{low[0]:.1f}..{low[1]:.1f}"]
+            cells += [_two(figures["auc"]), f"{high[0]:.1f}..{high[1]:.1f}"]
+            cells += [_two(figures["precision_20px_strict"]), _two(figures["auc_strict"])]
+            cells += [_two(figures.get("fps"))] * timed
+            jittered = figures.get("jittered", {})
+            cells += [_two(jittered.get("precision_20px")), _two(jittered.get("auc"))] * shaken
+            rows.append(tuple(cells))
+        title = f"One-pass evaluation, mean over {len(self.counted)} sequences, percent"
+        return Table(title, tuple(header), tuple(rows))
+
+    def by_sequence(self) -> Table:
+        """Precision / AUC of each tracker on each sequence, toolkit convention."""
+        rows: list[tuple[str, ...]] = []
+        for sequence in self.sequences:
+            mark = "" if sequence.name in self.counted else " (not in the mean)"
+            cells = [_pair([row.nominal[sequence.name]] if sequence.name in row.nominal else []) for row in self.rows]
+            rows.append((sequence.name + mark, str(len(sequence.truth)), *cells))
+        header = ("sequence", "frames", *(row.label for row in self.rows))
+        return Table("By sequence: precision / AUC, percent", header, tuple(rows))
+
+    def by_group(self) -> list[Table]:
+        """The same by benchmark and by attribute, where there are any."""
+        labels = tuple(row.label for row in self.rows)
+        groups = {"benchmark": {b: self.names(b) for b in self.benchmarks()}} if len(self.benchmarks()) > 1 else {}
+        if self.attributes():
+            groups["attribute"] = {a: self.names(attribute=a) for a in self.attributes()}
+        return [
+            Table(
+                f"By {kind}: precision / AUC, percent",
+                (kind, "sequences", *labels),
+                tuple(
+                    (key, str(len(n)), *(_pair([r.nominal[x] for x in n]) for r in self.rows)) for key, n in g.items()
+                ),
+            )
+            for kind, g in groups.items()
+        ]
+
+
+def build_report(
+    sequences: Iterable[Sequence],
+    runs: Mapping[str, Mapping[str, list[Run]]],
+    stored: Mapping[str, Mapping[str, Boxes]],
+    reference: Iterable[str] = (),
+) -> Report:
+    """Judge runs (by label and sequence: the nominal one first, then the jittered) and stored boxes.
+
+    The means are over the sequences that every row has; if `reference` names some of them (those with published
+    results), over these only.  Raises ValueError when no sequence is left.
+    """
+    sequences = tuple(sequences)
+    rows = [_judge_runs(label, sequences, by_sequence) for label, by_sequence in runs.items()]
+    for label, boxes in stored.items():
+        rows.append(Row(label, {s.name: Judged.of(boxes[s.name], s) for s in sequences if s.name in boxes}))
+    common = [s.name for s in sequences if all(s.name in row.nominal for row in rows)]
+    published = set(reference)
+    counted = [name for name in common if name in published] or common
+    if not counted:
+        raise ValueError(f"no sequence has a result of each of {', '.join(row.label for row in rows)}")
+    return Report(sequences, tuple(rows), tuple(counted))
+
+
+def _judge_runs(label: str, sequences: tuple[Sequence, ...], by_sequence: Mapping[str, list[Run]]) -> Row:
+    row = Row(label, {})
+    for sequence in sequences:
+        runs = by_sequence.get(sequence.name, [])
+        if runs:
+            nominal, *others = (Judged.of(run.boxes, sequence) for run in runs)
+            row.nominal[sequence.name] = nominal
+            row.fps[sequence.name] = runs[0].fps
+            if others:
+                row.jittered[sequence.name] = others
+    return row
+
+
+def _figures(judged: list[Judged]) -> dict[str, float]:
+    toolkit, strict = mean_score([j.toolkit for j in judged]), mean_score([j.strict for j in judged])
+    return {
+        "precision_20px": round(toolkit.precision_20px, 6),
+        "auc": round(toolkit.auc, 6),
+        "precision_20px_strict": round(strict.precision_20px, 6),
+        "auc_strict": round(strict.auc, 6),
+    }
+
+
+def _pair(judged: list[Judged]) -> str:
+    if not judged:
+        return "-"
+    figures = _figures(judged)
+    return f"{figures['precision_20px']:.1f} / {figures['auc']:.1f}"
+
+
+def _two(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f}"
+
+
+def _rounded(pair: tuple[float, float]) -> list[float]:
+    return [round(pair[0], 2), round(pair[1], 2)]
+
+
+def _bars(cells: Iterable[str]) -> str:
+    return f"| {' | '.join(cells)} |"

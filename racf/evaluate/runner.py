@@ -1,0 +1,228 @@
+"""Run trackers over sequences: in this process, in several, or on a Dask cluster; the boxes are the same.
+
+A task is one tracker on one sequence from one start.  Each begins from a fresh tracker and a fixed random seed, so its
+boxes depend on nothing else.  With a folder, finished tasks are left there and found again by the next run.
+"""
+
+import hashlib
+import importlib
+import json
+import os
+import zlib
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from functools import cache
+from multiprocessing import get_context
+from pathlib import Path
+from time import perf_counter
+from typing import Any, Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from racf.box import Box
+from racf.evaluate.benchmarks import Sequence
+from racf.evaluate.boxfiles import read_boxes, write_boxes
+from racf.evaluate.metrics import Boxes
+from racf.evaluate.pictures import read_frame
+from racf.track import Track
+
+# Jittered starts: the shift of the toolkits' spatial robustness evaluation (a tenth of the target's size) and half of
+# its change of size (0.8 to 1.2), drawn evenly and separately for both axes.
+JITTER_SHIFT = 0.1
+JITTER_SIZE = 0.1
+
+
+class Tracker(Protocol):
+    """Follows one box through pictures."""
+
+    def init(self, image: NDArray[np.uint8], box: Box) -> Track:
+        """Learn the target inside `box`."""
+        ...
+
+    def update(self, image: NDArray[np.uint8]) -> Track:
+        """Find it in the next picture."""
+        ...
+
+
+class TrackerSpec(Protocol):
+    """What to run: travels to the processes that run it, so it holds no tracker."""
+
+    @property
+    def label(self) -> str:
+        """The row's name in tables."""
+        ...
+
+    def build(self) -> Tracker:
+        """A fresh tracker."""
+        ...
+
+    def fingerprint(self) -> str:
+        """Changes whenever the boxes could."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """One tracker on one sequence.  `start` is 0 from the annotated first box, 1, 2, ... from jittered ones."""
+
+    spec: TrackerSpec
+    benchmark: str
+    sequence: str
+    frames: tuple[Path, ...]
+    first_box: Box
+    start: int = 0
+
+    def key(self) -> str:
+        """Names the outcome: the same key means the same boxes."""
+        what = (self.spec.fingerprint(), self.benchmark, self.sequence, str(self.frames[0].resolve()))
+        numbers = (len(self.frames), str(self.first_box), self.start)
+        return hashlib.sha256(repr((what, numbers)).encode()).hexdigest()[:16]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Run:
+    """What a task gave: boxes in 1-based pixels like the annotations', and the time inside the tracker."""
+
+    boxes: Boxes
+    fps: float
+    stage_ms: dict[str, float]  # median over the frames, by stage
+
+
+def tasks(spec: TrackerSpec, sequence: Sequence, jitter: int) -> list[Task]:
+    """The nominal task and `jitter` ones from jittered first boxes; raises where the sequence cannot be run."""
+    sequence.need_frames()
+    box = sequence.first_box()
+    starts = [box, *(jittered(box, sequence.name, start) for start in range(1, jitter + 1))]
+    return [Task(spec, sequence.benchmark, sequence.name, sequence.frames, b, i) for i, b in enumerate(starts)]
+
+
+def jittered(box: Box, sequence: str, start: int) -> Box:
+    """A first box that is a little wrong; the same for each tracker, drawn by the sequence's name and the start."""
+    rng = np.random.default_rng([zlib.crc32(sequence.encode()), start])
+    dx, dy = rng.uniform(-JITTER_SHIFT, JITTER_SHIFT, 2)
+    w, h = box.w * (1 + rng.uniform(-JITTER_SIZE, JITTER_SIZE)), box.h * (1 + rng.uniform(-JITTER_SIZE, JITTER_SIZE))
+    return Box.around(box.centre_x + dx * box.w, box.centre_y + dy * box.h, w, h)
+
+
+def run_task(task: Task) -> Run:
+    """Track one sequence; raises ValueError naming a frame that cannot be read."""
+    cv2.setNumThreads(1)  # figures are those of one core, and as many tasks may run as there are
+    _warm_up(task.spec)
+    cv2.setRNGSeed(0)  # GrabCut's mixtures begin from random numbers
+    tracker, boxes, seconds, stages = task.spec.build(), [task.first_box], 0.0, dict[str, list[float]]()
+    tracker.init(read_frame(task.frames[0]), task.first_box)
+    for path in task.frames[1:]:
+        image = read_frame(path)
+        began = perf_counter()
+        track = tracker.update(image)
+        seconds += perf_counter() - began
+        boxes.append(track.box)
+        for stage, ms in track.stage_ms.items():
+            stages.setdefault(stage, []).append(ms)
+    rows = np.array([[b.x + 1, b.y + 1, b.w, b.h] for b in boxes], dtype=np.float64)
+    # Rounded as they are written, so that a resumed evaluation is judged on the same boxes.
+    return Run(
+        boxes=rows.round(3),
+        fps=(len(boxes) - 1) / seconds if seconds else 0.0,
+        stage_ms={stage: float(np.median(ms)) for stage, ms in stages.items()},
+    )
+
+
+@cache
+def _warm_up(spec: TrackerSpec) -> None:
+    """Compile or load what the tracker compiles, once a process, so that no frame's time holds it."""
+    noise = np.random.default_rng(0).integers(0, 256, (120, 160, 3), dtype=np.uint8)
+    tracker = spec.build()
+    tracker.init(noise, Box(60, 40, 40, 40))
+    tracker.update(noise)
+
+
+def run_all(
+    todo: list[Task],
+    *,
+    jobs: int = 1,
+    folder: Path | None = None,
+    dask: str | None = None,
+    done: Callable[[Task, Run, bool], None] = lambda task, run, stored: None,
+) -> dict[tuple[str, str, int], Run]:
+    """Outcomes by (label, sequence, start).  `done` is called after each, and told whether it was found in `folder`."""
+    runs: dict[tuple[str, str, int], Run] = {}
+    left: list[Task] = []
+    for task in todo:
+        run = _stored(folder, task)
+        if run is None:
+            left.append(task)
+        else:
+            runs[task.spec.label, task.sequence, task.start] = run
+            done(task, run, True)
+    left.sort(key=lambda task: -len(task.frames))  # long ones first, so that all processes end together
+    for task, run in _outcomes(left, jobs, dask):
+        if folder is not None:
+            _store(folder, task, run)
+        runs[task.spec.label, task.sequence, task.start] = run
+        done(task, run, False)
+    return runs
+
+
+def _outcomes(todo: list[Task], jobs: int, dask: str | None) -> Iterator[tuple[Task, Run]]:
+    if dask is not None:
+        yield from _on_dask(todo, dask)
+    elif jobs == 1 or len(todo) <= 1:
+        for task in todo:
+            yield task, run_task(task)
+    else:
+        # Spawned, not forked: a fork would copy the progress bar's thread and OpenCV's locks in whatever state.
+        with ProcessPoolExecutor(min(jobs, len(todo)), mp_context=get_context("spawn")) as pool:
+            waiting = {pool.submit(run_task, task): task for task in todo}
+            try:
+                for future in as_completed(waiting):
+                    yield waiting[future], future.result()
+            finally:
+                pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _on_dask(todo: list[Task], address: str) -> Iterator[tuple[Task, Run]]:
+    """The workers must see the frames under the same paths and have the same version installed."""
+    try:
+        distributed: Any = importlib.import_module("distributed")  # an extra
+    except ImportError:
+        raise ValueError("--dask needs the extra: pip install 'follow-me[dask]'") from None
+    with distributed.Client(address) as client:
+        waiting = {client.submit(run_task, task, pure=False): task for task in todo}
+        for future in distributed.as_completed(list(waiting)):
+            yield waiting[future], future.result()
+
+
+def _places(folder: Path, task: Task) -> tuple[Path, Path]:
+    start = f".start{task.start}" if task.start else ""
+    tracker = f"{task.spec.label.replace(os.sep, '_')}-{task.spec.fingerprint()}"
+    stem = task.sequence.rpartition("/")[2] + start
+    place = folder / "runs" / tracker / task.benchmark
+    return place / f"{stem}.txt", place / f"{stem}.json"
+
+
+def _stored(folder: Path | None, task: Task) -> Run | None:
+    """The outcome that an earlier evaluation left, if it is of this very task."""
+    if folder is None:
+        return None
+    boxes, note = _places(folder, task)
+    if not note.is_file():
+        return None
+    known = json.loads(note.read_text())
+    if known["key"] != task.key():
+        return None
+    return Run(read_boxes(boxes), known["fps"], known["stage_ms"])
+
+
+def _store(folder: Path, task: Task, run: Run) -> None:
+    """Leave the boxes, then the note that vouches for them: an interruption in between leaves no note."""
+    boxes, note = _places(folder, task)
+    boxes.parent.mkdir(parents=True, exist_ok=True)
+    note.unlink(missing_ok=True)
+    write_boxes(boxes, run.boxes)
+    half = note.with_suffix(".part")
+    half.write_text(json.dumps({"key": task.key(), "fps": run.fps, "stage_ms": run.stage_ms}))
+    half.replace(note)
