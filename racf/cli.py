@@ -1,0 +1,213 @@
+"""The `racf` command: track a video, evaluate on benchmarks, measure speed."""
+
+import fnmatch
+import json
+import os
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+from rich import box
+from rich.console import Console
+from rich.table import Table as ScreenTable
+
+from racf.box import Box
+from racf.commandline import UsageError, run
+from racf.evaluate import plots, progress
+from racf.evaluate.benchmarks import BENCHMARKS, Sequence, is_known, read_benchmark
+from racf.evaluate.boxfiles import write_boxes
+from racf.evaluate.metrics import Boxes
+from racf.evaluate.pictures import frames_of
+from racf.evaluate.report import Report, Table, build_report
+from racf.evaluate.runner import Run, run_all, tasks
+from racf.evaluate.stored import stored_boxes, trackers_in
+from racf.evaluate.trackers import TrackerSpec
+
+WIDTH_IN_A_PIPE = 160  # columns, so that nothing is folded where no terminal says how wide it is
+Many = tyro.conf.UseAppendAction[tuple[str, ...]]
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """Follow one box through a video file or a folder of pictures."""
+
+    source: tyro.conf.Positional[Path]
+    """Video file, or folder of numbered pictures."""
+    init: str
+    """The target in the first frame: x,y,w,h in 0-based pixels."""
+    out: Path
+    """Text file for the boxes, a line x,y,w,h a frame, in 0-based pixels."""
+    tracker: str = "racf"
+    """racf, racf-, racf--, bacf or arcf-hc; settings may follow: racf,robust,admm_iterations=3."""
+    set: Many = ()
+    """A setting of the tracker, key=value (key alone: true)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Eval:
+    """One-pass evaluation on a benchmark, of trackers run here and of stored boxes."""
+
+    root: tyro.conf.Positional[Path]
+    """Folder of the benchmark."""
+    benchmark: str = "folder"
+    """folder, uav123, uav123@10fps, dtb70, uavdt or visdrone2018: the layout of ROOT."""
+    tracker: Many = ()
+    """A tracker to run; settings may follow: racf,robust,admm_iterations=3 (racf if nothing is imported either)."""
+    imports: Annotated[Many, tyro.conf.arg(name="import")] = ()
+    """Stored boxes to compare: NAME=DIR, or DIR for all trackers in it."""
+    only: Many = ()
+    """Only the sequences that match this pattern, by name or benchmark/name."""
+    jitter: int = 0
+    """Also start each sequence this many times from a slightly wrong box."""
+    set: Many = ()
+    """A setting of all trackers that are run, key=value (key alone: true)."""
+    json: bool = False
+    """Print the figures as JSON on standard output, and nothing else there."""
+    out: Path | None = None
+    """Folder for boxes, tables and plots; an interrupted evaluation goes on from what is there."""
+    jobs: int = 0
+    """Processes at once; 0: one for each core."""
+    dask: str | None = None
+    """Run on the Dask cluster with this scheduler address instead (needs the extra `dask`)."""
+
+
+Command = Annotated[Track, tyro.conf.subcommand("track")] | Annotated[Eval, tyro.conf.subcommand("eval")]
+
+
+def main() -> None:
+    """Entry point of `racf`."""
+    description = "The RACF tracker: track, evaluate, measure."
+    sys.exit(run(Command, execute, prog="racf", description=description, config=(tyro.conf.FlagCreatePairsOff,)))
+
+
+def execute(command: Track | Eval) -> None:
+    """Do what was asked."""
+    if isinstance(command, Track):
+        track(command)
+    else:
+        evaluate(command)
+
+
+def track(command: Track) -> None:
+    """`racf track`."""
+    spec = _specs((command.tracker,), command.set)[0]
+    try:
+        target = Box.parse(command.init)
+    except ValueError as error:
+        raise UsageError(f"--init: {error}") from None
+    if not command.source.exists():
+        raise UsageError(f"{command.source} is neither a folder of pictures nor a video file")
+    tracker, boxes = spec.build(), list[Box]()
+    for image in frames_of(command.source):
+        boxes.append(tracker.update(image).box if boxes else tracker.init(image, target).box)
+    command.out.parent.mkdir(parents=True, exist_ok=True)
+    write_boxes(command.out, np.array([[b.x, b.y, b.w, b.h] for b in boxes]))
+    _say(f"{len(boxes)} boxes written to {command.out}")
+
+
+def evaluate(command: Eval) -> None:
+    """`racf eval`."""
+    names = command.tracker or (() if command.imports else ("racf",))
+    specs = _specs(names, command.set)
+    if command.jitter < 0 or command.jobs < 0:
+        raise UsageError(f"--jitter and --jobs are not negative: {command.jitter}, {command.jobs}")
+    sequences = _sequences(command)
+    stored = _stored(command.imports, sequences, {spec.label for spec in specs})
+    runs = _run(command, specs, sequences)
+    published = command.root / "results"
+    reference = [n for t in trackers_in(published, sequences) for n in stored_boxes(published, t, sequences)]
+    report = build_report(sequences, runs, stored, reference)
+    if command.out is not None:
+        _write(report, command.out)
+    if command.json:
+        print(json.dumps(report.as_json(), indent=1))
+    else:
+        _show(report.overall())
+
+
+def _specs(names: tuple[str, ...], settings: tuple[str, ...]) -> list[TrackerSpec]:
+    try:
+        specs = [TrackerSpec.parse(name).with_settings(list(settings)) for name in names]
+        for spec in specs:
+            spec.check()
+    except ValueError as error:
+        raise UsageError(str(error)) from None
+    if len({spec.label for spec in specs}) < len(specs):
+        raise UsageError(f"each --tracker is named once, not {', '.join(names)}")
+    return specs
+
+
+def _sequences(command: Eval) -> list[Sequence]:
+    if not command.root.is_dir():
+        raise UsageError(f"ROOT must be a folder; {command.root} is not")
+    if not is_known(command.benchmark):
+        raise UsageError(f"--benchmark is one of {', '.join(BENCHMARKS)}, not {command.benchmark!r}")
+    sequences = read_benchmark(command.benchmark, command.root)
+    chosen = [s for s in sequences if not command.only or any(_matches(s, pattern) for pattern in command.only)]
+    if not chosen:
+        raise UsageError(f"--only {' '.join(command.only)} leaves none of {len(sequences)} sequences")
+    return chosen
+
+
+def _matches(sequence: Sequence, pattern: str) -> bool:
+    names = (sequence.name, f"{sequence.benchmark}/{sequence.name}")
+    return any(fnmatch.fnmatchcase(name, pattern) for name in names)
+
+
+def _stored(imports: tuple[str, ...], sequences: list[Sequence], taken: set[str]) -> dict[str, dict[str, Boxes]]:
+    """Boxes by label and sequence, as `--import` asks for."""
+    found: dict[str, dict[str, Boxes]] = {}
+    for text in imports:
+        label, equals, place = text.partition("=")
+        folder = Path(place if equals else text)
+        if not folder.is_dir():
+            raise UsageError(f"--import {text}: {folder} is not a folder")
+        for name in [label] if equals else trackers_in(folder, sequences):
+            boxes = stored_boxes(folder, name, sequences)
+            if not boxes:
+                raise UsageError(f"--import {text}: {folder} has no boxes of {name} for any of the sequences")
+            free = name if name not in taken else f"{name} (stored)"
+            found[free] = boxes
+    if imports and not found:
+        raise UsageError(f"--import {' '.join(imports)}: no boxes for any of the sequences")
+    return found
+
+
+def _run(command: Eval, specs: list[TrackerSpec], sequences: list[Sequence]) -> dict[str, dict[str, list[Run]]]:
+    todo = [task for spec in specs for sequence in sequences for task in tasks(spec, sequence, command.jitter)]
+    if not todo:
+        return {}
+    jobs = command.jobs or len(os.sched_getaffinity(0))
+    with progress.bar(todo) as bar:
+        runs = run_all(todo, jobs=jobs, folder=command.out, dask=command.dask, done=bar.done)
+    return {
+        spec.label: {s.name: [runs[spec.label, s.name, i] for i in range(1 + command.jitter)] for s in sequences}
+        for spec in specs
+    }
+
+
+def _write(report: Report, folder: Path) -> None:
+    """Leave tables and figures in `folder`."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "report.json").write_text(json.dumps(report.as_json(), indent=1) + "\n")
+    tables = [report.overall(), *report.by_group(), report.by_sequence()]
+    (folder / "tables.md").write_text("\n".join(table.markdown() for table in tables))
+    drawn = [*plots.draw_curves(report, folder), *plots.draw_attributes(report, folder)]
+    _say(f"report.json, tables.md and {len(drawn)} figures are in {folder}")
+
+
+def _show(table: Table) -> None:
+    """Print a table on standard output."""
+    screen = ScreenTable(title=table.title, title_justify="left", box=box.SIMPLE, padding=(0, 1, 0, 0))
+    for i, name in enumerate(table.header):
+        screen.add_column(name, justify="right" if i else "left", overflow="fold")
+    for row in table.rows:
+        screen.add_row(*row)
+    Console(width=None if sys.stdout.isatty() else WIDTH_IN_A_PIPE).print(screen)
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr)

@@ -1,0 +1,115 @@
+"""`racf track` and `racf eval` from the outside: what they print, what they leave, how they end."""
+
+import json
+import re
+import sys
+
+import numpy as np
+import pytest
+import rendered_benchmarks as rendered
+
+from racf.cli import main
+from racf.evaluate.boxfiles import read_boxes, write_boxes
+
+
+def racf(*argv: object) -> int:
+    """Exit status of the command."""
+    before = sys.argv
+    sys.argv = ["racf", *map(str, argv)]
+    try:
+        with pytest.raises(SystemExit) as stop:
+            main()
+    finally:
+        sys.argv = before
+    return int(stop.value.code or 0)
+
+
+@pytest.fixture
+def data(tmp_path):
+    return rendered.plain_folder(tmp_path / "data", ("one", "two"), frames=8, benchmark="Bench")
+
+
+def test_track_writes_a_box_a_frame_near_the_target(data, tmp_path):
+    source, out = data / "Bench" / "one", tmp_path / "deep" / "boxes.txt"
+    assert racf("track", source, "--init", "30,40,24,20", "--out", out, "--tracker", "racf-") == 0
+    boxes = read_boxes(out)
+    truth = rendered.path_of_target(8) - [1, 1, 0, 0]
+    assert boxes.shape == (8, 4)
+    assert np.abs((boxes - truth)[:, :2]).max() < 4
+
+
+def test_eval_prints_only_its_json_with_the_promised_keys(data, capsys):
+    assert racf("eval", data, "--tracker", "racf-", "--jitter", 2, "--json", "--jobs", 1) == 0
+    figures = json.loads(capsys.readouterr().out)
+    promised = {"precision_20px", "auc", "precision_20px_strict", "auc_strict", "fps"}
+    assert promised | {"sequences", "jittered"} <= set(figures["racf-"])
+    assert figures["racf-"]["jittered"]["starts"] == 2
+    assert set(figures["racf-"]["sequences"]) == {"one", "two"}
+    assert all(promised | {"frames"} <= set(s) for s in figures["racf-"]["sequences"].values())
+    assert figures["racf-"]["precision_20px"] == 100.0
+    assert 50 < figures["racf-"]["auc"] <= 100
+
+
+def test_eval_leaves_boxes_tables_and_figures_and_resumes_from_them(data, tmp_path, capsys):
+    out = tmp_path / "out"
+    arguments = ("eval", data, "--tracker", "racf-", "--tracker", "racf-,robust", "--json", "--jobs", 1, "--out", out)
+    assert racf(*arguments) == 0
+    first = capsys.readouterr().out
+    for name in ("report.json", "tables.md", "precision.png", "precision.svg", "success.png", "success.svg"):
+        assert (out / name).stat().st_size > 0
+    assert "| racf-,robust |" in (out / "tables.md").read_text()
+    assert racf(*arguments) == 0
+    assert capsys.readouterr().out == first  # the speed, too: nothing ran again
+
+
+def test_eval_compares_stored_boxes(data, tmp_path, capsys):
+    truth = rendered.path_of_target(8)
+    for name, shift in (("Good", 0), ("Bad", 30)):
+        (tmp_path / "stored" / name).mkdir(parents=True)
+        write_boxes(tmp_path / "stored" / name / "one.txt", truth + np.array([shift, 0, 0, 0]))
+    assert racf("eval", data, "--import", tmp_path / "stored", "--json") == 0
+    figures = json.loads(capsys.readouterr().out)
+    assert list(figures) == ["Bad", "Good"]
+    assert figures["Good"]["precision_20px"] == 100.0
+    assert figures["Bad"]["precision_20px"] == pytest.approx(100 / 8)
+    assert "fps" not in figures["Good"]
+    assert racf("eval", data, "--import", f"Good={tmp_path / 'stored'}") == 0
+    assert re.search(r"Good +100\.00", capsys.readouterr().out)
+
+
+def test_settings_reach_the_tracker(data, capsys):
+    assert racf("eval", data, "--only", "one", "--tracker", "racf-", "--set", "scales=1", "--set", "robust") == 0
+    assert "racf-" in capsys.readouterr().out
+
+
+WRONG = {
+    "a folder that is not there": (("eval", "nowhere"), "nowhere"),
+    "a benchmark nobody knows": (("eval", "DATA", "--benchmark", "otb"), "otb"),
+    "a tracker nobody knows": (("eval", "DATA", "--tracker", "goturn"), "goturn"),
+    "a setting nobody knows": (("eval", "DATA", "--set", "etta=1"), "etta"),
+    "a setting that is no number": (("eval", "DATA", "--set", "residue=high"), "high"),
+    "a pattern without a match": (("eval", "DATA", "--only", "three"), "three"),
+    "an import without boxes": (("eval", "DATA", "--import", "X=DATA"), "X"),
+    "a box of three numbers": (("track", "DATA/Bench/one", "--init", "1,2,3", "--out", "x.txt"), "1,2,3"),
+    "a source that is not there": (("track", "nowhere.mp4", "--init", "1,2,3,4", "--out", "x.txt"), "nowhere.mp4"),
+    "an option nobody knows": (("eval", "DATA", "--jason"), "--jason"),
+}
+
+
+@pytest.mark.parametrize("what", WRONG)
+def test_wrong_use_ends_in_2_with_one_line_that_names_it(what, data, capsys):
+    argv, named = WRONG[what]
+    assert racf(*(a.replace("DATA", str(data)) for a in argv)) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("racf: error: ")
+    assert err.count("\n") == 1
+    assert named in err
+
+
+def test_broken_data_ends_in_1_with_one_line_that_names_it(data, capsys):
+    (data / "Bench" / "one" / "000305.png").unlink()
+    assert racf("eval", data) == 1
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert "000304.png" in err
