@@ -5,6 +5,8 @@ believed (`follow/vehicle.py`).
 Rule 2: we are component 191 of that vehicle, with a HEARTBEAT of our own each second.
 Rule 3: a mode is asked for only by `take_control` and `hold`, and is true only when the autopilot's heartbeat says so.
 Rule 4: once the vehicle left the mode that we asked for, we are out of control until `take_control` is called again.
+Rule 5: a stream that stops or pauses while we are in control ends it with a request for Hold or BRAKE, because PX4
+would fall back and then re-enter OFFBOARD by itself at the next setpoint.
 """
 
 from dataclasses import dataclass, replace
@@ -27,8 +29,9 @@ TIMESYNC_EVERY_S = 1.0
 RATES_CHECK_EVERY_S = 2.0  # long enough to count a few messages of the slowest stream that we ask for
 ASK_AGAIN_S = 0.7  # a command without an answer is repeated after this, as the command protocol does
 ASK_TIMES = 3
+ASK_PATIENCE_S = 3.0  # a mode acknowledged is waited for this long; PX4's heartbeat shows it up to 1 s late
 STREAM_BEFORE_S = 1.2  # PX4 takes OFFBOARD only after more than 1 s of setpoints at more than 2 Hz
-STREAM_GAP_S = 0.5  # ... which a pause this long starts over
+STREAM_GAP_S = 0.5  # 2 Hz; also the shortest COM_OF_LOSS_T and GUID_TIMEOUT that we ask for
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +63,7 @@ class _Ask:
     from_mode: str
     times: int = 0
     next_t_s: float = NEVER
+    first_t_s: float = NEVER
 
 
 class MavlinkClient:
@@ -132,20 +136,21 @@ class MavlinkClient:
             self._pursue(self._ask, t_s)
 
     def send_setpoint(self, setpoint: Setpoint | None, t_s: float) -> None:
-        """Queue one setpoint, or note the end of the stream when None.
+        """Queue one setpoint, or end the stream when None.
 
         Raises ValueError for a number that is not finite: one NaN makes ArduPilot refuse to arm until a restart.
         """
-        if setpoint is None:
-            if self._stream_t_s > NEVER and self._is_asking_control():
-                self._ask = None  # the stream ended before the vehicle obeyed: so did the wish to fly it
+        if setpoint is not None and not setpoint.is_finite():
+            raise ValueError(f"a setpoint needs four finite numbers, not {setpoint}")
+        streamed = self._stream_t_s > NEVER
+        paused = streamed and t_s - self._stream_t_s > STREAM_GAP_S
+        if streamed and (setpoint is None or (paused and self._in_control)):
+            self.hold()
             self._stream_t_s = NEVER
             return
-        if not setpoint.is_finite():
-            raise ValueError(f"a setpoint needs four finite numbers, not {setpoint}")
-        if self.vehicle_id is None:
+        if setpoint is None or self.vehicle_id is None:
             return
-        if t_s - self._stream_t_s > STREAM_GAP_S:
+        if paused or not streamed:
             self._stream_since_t_s = t_s
         self._stream_t_s = t_s
         target = self.vehicle_id, AUTOPILOT, FRAME, VELOCITY_AND_YAW_RATE
@@ -155,7 +160,7 @@ class MavlinkClient:
         self._send(dialect.MAVLink_set_position_target_local_ned_message(boot_ms, *target, *numbers))
 
     def take_control(self) -> None:
-        """Ask, once, for the mode that obeys setpoints; on PX4 as soon as the stream is old enough.
+        """Ask, once, for the mode that obeys setpoints, as soon as they are streaming.
 
         Only an operator's explicit order may lead here.  Raises LinkError when no vehicle is known.
         """
@@ -166,11 +171,12 @@ class MavlinkClient:
 
         In any other mode somebody else flies, and is left alone.
         """
-        if not (self._in_control or (self._is_asking_control() and self._ask is not None and self._ask.times)):
-            self._ask = None
-            return False
-        self._begin(self._names().hold)
-        return True
+        obeys = self._in_control or (self._is_asking_control() and self._ask is not None and self._ask.times > 0)
+        self._in_control = False
+        self._ask = None
+        if obeys:
+            self._begin(self._names().hold)
+        return obeys
 
     def is_asking(self) -> bool:
         """Whether a mode asked for is still awaited."""
@@ -222,17 +228,20 @@ class MavlinkClient:
     def _pursue(self, ask: _Ask, t_s: float) -> None:
         """Send the request when it may be sent; drop it when it was answered in vain or the vehicle moved on."""
         autopilot = self._vehicle.state.autopilot
-        must_stream = autopilot is Autopilot.PX4 and ask.mode == self._names().control
-        streamed_s = self._stream_t_s - self._stream_since_t_s if self._stream_t_s > NEVER else 0.0
-        if t_s < ask.next_t_s or (must_stream and streamed_s < STREAM_BEFORE_S) or autopilot is None:
+        if t_s < ask.next_t_s or autopilot is None:
             return
+        if ask.mode == self._names().control:
+            before_s = STREAM_BEFORE_S if autopilot is Autopilot.PX4 else 0.0
+            if self._stream_t_s == NEVER or self._stream_t_s - self._stream_since_t_s < before_s:
+                return
         if ask.times == ASK_TIMES or (ask.times and dialect.MAV_CMD_DO_SET_MODE in self.heard.answers):
-            if t_s >= ask.next_t_s + ASK_AGAIN_S:  # PX4's heartbeat shows a mode up to 1 s after it acknowledged
+            if t_s >= ask.first_t_s + ASK_PATIENCE_S:
                 self._ask = None
             return
         self.heard.answers.pop(dialect.MAV_CMD_DO_SET_MODE, None)
         custom = dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
         self.command(dialect.MAV_CMD_DO_SET_MODE, custom, *mode_params(autopilot, ask.mode))
+        ask.first_t_s = t_s if ask.times == 0 else ask.first_t_s
         ask.times += 1
         ask.next_t_s = t_s + ASK_AGAIN_S
 

@@ -11,8 +11,7 @@ LOCAL_NED, LOCAL_OFFSET_NED, BODY_NED, BODY_OFFSET_NED = 1, 7, 8, 9
 VELOCITY_BITS = 0b111 << 3
 YAW_RATE_BIT = 1 << 11
 STREAM_SLACK_S = 0.15  # PX4: kept OFFBOARD at 1.2 Hz, flapped at 0.8 Hz, braked 1.1-1.4 s after the last setpoint
-STREAM_RECENT_S = 0.5  # PX4: OFFBOARD needs a stream of more than 2 Hz ...
-STREAM_BEFORE_S = 1.0  # ... that is older than this
+STREAM_RECENT_S = 0.5  # PX4: OFFBOARD needs setpoints at more than 2 Hz; its firmware is content with a fresh one
 
 
 class Px4Flight(Flight):
@@ -37,15 +36,12 @@ class Px4Flight(Flight):
 
     def __init__(self, vehicle: Vehicle):
         super().__init__(vehicle)
-        self._stream_since_s = NEVER
         self._lost_stream = False  # in the failsafe of a lost stream: OFFBOARD is still what the user wants
 
     def take_setpoint(self, frame: int, mask: int, velocity: tuple[float, float, float], yaw_rate: float) -> None:
         """Frames 1 and 8 only: a setpoint in another is as good as none."""
         if frame not in (LOCAL_NED, BODY_NED):
             return
-        if self.command is None or self.t_s - self.command.t_s > STREAM_RECENT_S:
-            self._stream_since_s = self.t_s
         usable = not mask & VELOCITY_BITS and all(map(math.isfinite, velocity))
         x, y, down = velocity if usable else (0.0, 0.0, 0.0)
         turning = 0.0 if mask & YAW_RATE_BIT or not math.isfinite(yaw_rate) else yaw_rate
@@ -69,7 +65,7 @@ class Px4Flight(Flight):
         """Two answers, the first always ACCEPTED; the second tells."""
         command = self.command
         streaming = command is not None and self.t_s - command.t_s < STREAM_RECENT_S
-        if name == "OFFBOARD" and not (streaming and self.t_s - self._stream_since_s > STREAM_BEFORE_S):
+        if name == "OFFBOARD" and not streaming:
             return [Result.ACCEPTED, Result.TEMPORARILY_REJECTED]
         self.enter(name)
         return [Result.ACCEPTED, Result.ACCEPTED]

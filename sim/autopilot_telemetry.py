@@ -208,7 +208,8 @@ REPORTS: dict[int, Callable[[Flight, float], Message]] = {
 }
 """Message id -> what makes it."""
 
-# Messages a second before anybody asks: PX4's onboard mode, and ArduPilot with its stream-rate parameters at 0
+# Messages a second before anybody asks: PX4's onboard mode, cut to what is used here, and ArduPilot with 4 in its
+# SR0_* parameters, as a ground station leaves them
 UNASKED_HZ: dict[Autopilot, dict[int, float]] = {
     Autopilot.PX4: {
         dialect.MAVLINK_MSG_ID_HEARTBEAT: 1.0,
@@ -222,5 +223,14 @@ UNASKED_HZ: dict[Autopilot, dict[int, float]] = {
         dialect.MAVLINK_MSG_ID_BATTERY_STATUS: 0.5,
         dialect.MAVLINK_MSG_ID_VFR_HUD: 2.0,
     },
-    Autopilot.ARDUPILOT: {dialect.MAVLINK_MSG_ID_HEARTBEAT: 1.0},
+    Autopilot.ARDUPILOT: {
+        dialect.MAVLINK_MSG_ID_HEARTBEAT: 1.0,
+        dialect.MAVLINK_MSG_ID_SYS_STATUS: 4.0,
+        dialect.MAVLINK_MSG_ID_ATTITUDE: 4.0,
+        dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 4.0,
+        dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 4.0,
+        dialect.MAVLINK_MSG_ID_GPS_RAW_INT: 4.0,
+        dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 4.0,
+        dialect.MAVLINK_MSG_ID_VFR_HUD: 4.0,
+    },
 }

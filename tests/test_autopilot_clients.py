@@ -1,0 +1,150 @@
+"""Clients that are not ours fly the simulated autopilot over UDP: MAVSDK 4.1, and pymavlink's own connection."""
+
+import contextlib
+import itertools
+import math
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+from mavsdk import ComponentType, Configuration, Mavsdk
+from mavsdk.plugins.action import Action
+from mavsdk.plugins.offboard import Offboard, VelocityBodyYawspeed
+from mavsdk.plugins.telemetry import Telemetry
+
+BOTH = pytest.mark.parametrize("rules", ["px4", "ardupilot"])
+SPEEDUP = 5.0
+SQUARE = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))
+SIDE_S = 3.0  # simulated
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+@contextlib.contextmanager
+def autopilot(rules: str, port: int) -> Iterator[None]:
+    """The program itself, as a person starts it."""
+    call = [sys.executable, "-m", "sim.autopilot", "--rules", rules, "--connect", f"udpout:127.0.0.1:{port}"]
+    process = subprocess.Popen([*call, "--speedup", str(SPEEDUP)])
+    try:
+        yield
+    finally:
+        process.terminate()
+        process.wait(5.0)
+
+
+def until(what: str, done: Callable[[], bool], seconds: float = 10.0) -> None:
+    """Wait for something that happens in another process."""
+    end = time.monotonic() + seconds
+    while not done():
+        assert time.monotonic() < end, f"not {what} within {seconds} s"
+        time.sleep(0.02)
+
+
+@BOTH
+def test_mavsdk_arms_takes_off_flies_a_square_and_lands(rules):
+    port = free_port()
+    mavsdk = Mavsdk(Configuration.create_with_component_type(ComponentType.GROUND_STATION))
+    try:
+        mavsdk.add_any_connection(f"udpin://127.0.0.1:{port}")
+        with autopilot(rules, port):
+            system = mavsdk.first_autopilot(10.0)
+            assert system is not None
+            fly_with_mavsdk(Telemetry(system), Action(system), Offboard(system))
+    finally:
+        mavsdk.destroy()
+
+
+def fly_with_mavsdk(telemetry: Telemetry, action: Action, offboard: Offboard) -> None:
+    until("healthy", telemetry.health_all_ok)
+    action.set_takeoff_altitude(3.0)
+    action.arm()
+    action.takeoff()
+    until("up", lambda: telemetry.position().relative_altitude_m > 2.5)
+    offboard.set_velocity_body(VelocityBodyYawspeed(0.0, 0.0, 0.0, 0.0))
+    offboard.start()
+    corners = []
+    for forward, right in SQUARE:
+        offboard.set_velocity_body(VelocityBodyYawspeed(forward, right, 0.0, 0.0))
+        time.sleep(SIDE_S / SPEEDUP)
+        place = telemetry.position_velocity_ned().position
+        corners.append((place.north_m, place.east_m))
+    assert is_square(corners)
+    offboard.stop()
+    action.land()
+    until("down and disarmed", lambda: not telemetry.armed() and not telemetry.in_air())
+
+
+@BOTH
+def test_a_plain_pymavlink_client_arms_takes_off_flies_a_square_and_lands(rules, monkeypatch):
+    monkeypatch.setitem(os.environ, "MAVLINK20", "1")
+    from pymavlink import mavutil  # noqa: PLC0415 (it reads the environment when it is imported)
+
+    port = free_port()
+    link = mavutil.mavlink_connection(f"udpin:127.0.0.1:{port}", source_system=255)
+    try:
+        with autopilot(rules, port):
+            assert link.wait_heartbeat(timeout=10) is not None
+            fly_with_pymavlink(link, guided="GUIDED" if rules == "ardupilot" else "OFFBOARD")
+    finally:
+        link.close()
+
+
+def fly_with_pymavlink(link, guided: str) -> None:
+    def heard(kind: str):
+        message = link.recv_match(type=kind, blocking=True, timeout=5)
+        assert message is not None, kind
+        return message
+
+    def stream(seconds: float, forward: float = 0.0, right: float = 0.0) -> None:
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            setpoint = 0, 1, 1, 8, 0x05C7, 0, 0, 0, forward, right, 0, 0, 0, 0, 0, 0
+            link.mav.set_position_target_local_ned_send(*setpoint)
+            link.recv_msg()
+            time.sleep(0.02)
+
+    for number in (32, 245):  # LOCAL_POSITION_NED, EXTENDED_SYS_STATE
+        link.mav.command_long_send(1, 1, 511, 0, number, 1e6 / 20, 0, 0, 0, 0, 0)
+    if guided == "GUIDED":
+        link.set_mode(guided)
+    link.arducopter_arm()
+    link.motors_armed_wait()
+    height = 3.0 if guided == "GUIDED" else math.nan  # PX4 counts from the sea; without a number it knows its own
+    link.mav.command_long_send(1, 1, 22, 0, 0, 0, 0, 0, 0, 0, height)
+    until("up", lambda: heard("LOCAL_POSITION_NED").z < -2.2)
+    stream(1.5 / SPEEDUP)
+    if guided == "OFFBOARD":
+        link.mav.command_long_send(1, 1, 176, 0, 1, 6, 0, 0, 0, 0, 0)
+    corners = []
+    for forward, right in SQUARE:
+        stream(SIDE_S / SPEEDUP, forward, right)
+        while link.recv_msg() is not None:
+            pass
+        place = link.messages["LOCAL_POSITION_NED"]
+        corners.append((place.x, place.y))
+    assert is_square(corners)
+    link.mav.command_long_send(1, 1, 21, 0, 0, 0, 0, 0, 0, 0, 0)
+    until("landed", lambda: heard("EXTENDED_SYS_STATE").landed_state == 1)
+    until("disarmed", lambda: not heard("HEARTBEAT").base_mode & 128)
+
+
+def is_square(corners) -> bool:
+    """Whether the way goes north, east, south, west by metres (the vehicle coasts, so its corners are round)."""
+    sides = [(b[0] - a[0], b[1] - a[1]) for a, b in itertools.pairwise(corners)]
+    return sides[0][1] > 1.0 and sides[1][0] < -1.0 and sides[2][1] < -1.0 and corners[0][0] > 0.5
+
+
+def test_a_wrong_address_is_one_line_and_no_trace():
+    call = [sys.executable, "-m", "sim.autopilot", "--connect", "nowhere"]
+    done = subprocess.run(call, capture_output=True, text=True, timeout=30, check=False)
+    assert done.returncode == 1
+    assert done.stderr.strip().count("\n") == 0
+    assert "udpout:HOST:PORT" in done.stderr

@@ -1,0 +1,368 @@
+"""The simulated autopilot keeps the rules that were measured on PX4 1.16 and ArduCopter 4.7, one by one."""
+
+import math
+
+import pytest
+from autopilot_pair import CONTROL
+from pymavlink.dialects.v20 import common as dialect
+
+from follow.messages import Autopilot
+from sim.autopilot_system import AutopilotSystem
+from sim.dynamics import Motion, Vehicle
+
+PX4, ARDUPILOT = Autopilot.PX4, Autopilot.ARDUPILOT
+BOTH = pytest.mark.parametrize("autopilot", list(Autopilot))
+NUMBERS = {
+    PX4: {"OFFBOARD": (6, 0), "HOLD": (4, 3), "RTL": (4, 5), "POSCTL": (3, 0)},
+    ARDUPILOT: {"GUIDED": (4, 0), "BRAKE": (17, 0), "RTL": (6, 0), "LOITER": (5, 0)},
+}
+FULL = 0x05C7
+
+
+class Bench:
+    """A raw MAVLink peer of a vehicle that hovers 10 m high; no code of ours on its side."""
+
+    def __init__(self, autopilot: Autopilot, height_m: float = 10.0, **parameters: float):
+        vehicle = Vehicle(autopilot, Motion(down_m=-height_m))
+        self.system = AutopilotSystem(autopilot, vehicle)
+        self.flight = self.system.flight
+        self.flight.parameters.update(parameters)
+        self.autopilot = autopilot
+        self.mav = dialect.MAVLink(None, 1, 191)
+        self.ears = dialect.MAVLink(None)
+        self.t_s = 0.0
+        self.heard = []
+
+    def say(self, message, mav=None) -> None:
+        self.system.receive(message.pack(mav or self.mav))
+
+    def velocity(self, x=0.0, y=0.0, z=0.0, yaw_rate=0.0, frame=8, mask=FULL, mav=None) -> None:
+        setpoint = 0, 1, 1, frame, mask, 0, 0, 0, x, y, z, 0, 0, 0, 0, yaw_rate
+        self.say(dialect.MAVLink_set_position_target_local_ned_message(*setpoint), mav)
+
+    def mode(self, name: str) -> list[int]:
+        self.heard.clear()
+        self.say(dialect.MAVLink_command_long_message(1, 1, 176, 0, 1, *NUMBERS[self.autopilot][name], 0, 0, 0, 0))
+        self.wait(0.02)
+        return [message.result for message in self.heard if message.get_type() == "COMMAND_ACK"]
+
+    def command(self, number: int, *params: float) -> int:
+        self.heard.clear()
+        self.say(dialect.MAVLink_command_long_message(1, 1, number, 0, *params, *(0.0,) * (7 - len(params))))
+        self.wait(0.02)
+        return next(message.result for message in self.heard if message.get_type() == "COMMAND_ACK")
+
+    def wait(self, seconds: float) -> None:
+        for _ in range(round(seconds / 0.02)):
+            self.t_s += 0.02
+            self.system.step(self.t_s)
+            for packet in self.system.take():
+                self.heard.extend(self.ears.parse_buffer(packet) or ())
+
+    def stream(self, seconds: float, rate_hz: float = 25.0, **setpoint) -> None:
+        for _ in range(round(seconds * rate_hz)):
+            self.velocity(**setpoint)
+            self.wait(1 / rate_hz)
+
+    def under_control(self) -> "Bench":
+        self.stream(1.5)
+        self.mode(CONTROL[self.autopilot])
+        assert self.flight.mode == CONTROL[self.autopilot]
+        return self
+
+    def body_velocity(self):
+        m = self.flight.vehicle.motion
+        c, s = math.cos(m.yaw_rad), math.sin(m.yaw_rad)
+        return c * m.north_m_s + s * m.east_m_s, c * m.east_m_s - s * m.north_m_s, m.down_m_s
+
+    def mode_in_heartbeat(self) -> int:
+        return next(m.custom_mode for m in reversed(self.heard) if m.get_type() == "HEARTBEAT")
+
+
+@pytest.mark.parametrize("frame", [1, 8])
+@BOTH
+def test_frames_1_and_8_are_obeyed_by_both(autopilot, frame):
+    bench = Bench(autopilot).under_control()
+    bench.stream(4.0, x=2.0, frame=frame)
+    assert bench.body_velocity()[0] == pytest.approx(2.0, abs=0.35)
+
+
+@pytest.mark.parametrize("frame", [7, 9])
+def test_frames_7_and_9_are_obeyed_by_ardupilot(frame):
+    bench = Bench(ARDUPILOT).under_control()
+    bench.stream(4.0, x=2.0, frame=frame)
+    assert bench.body_velocity()[0] == pytest.approx(2.0, abs=0.3)
+
+
+def test_frame_12_stops_ardupilot():
+    bench = Bench(ARDUPILOT).under_control()
+    bench.stream(4.0, x=2.0)
+    bench.stream(4.0, x=2.0, frame=12)
+    assert math.hypot(*bench.body_velocity()) < 0.1
+
+
+@pytest.mark.parametrize("frame", [7, 9, 12])
+def test_other_frames_lose_px4_its_offboard_after_about_a_second(frame):
+    bench = Bench(PX4).under_control()
+    bench.stream(0.9, x=2.0, frame=frame)
+    assert bench.flight.mode == "OFFBOARD"
+    bench.stream(0.6, x=2.0, frame=frame)
+    assert bench.flight.mode != "OFFBOARD"
+
+
+@BOTH
+def test_masking_one_velocity_axis_drops_the_whole_velocity(autopilot):
+    bench = Bench(autopilot).under_control()
+    bench.stream(3.0, x=2.0, mask=FULL | 1 << 5)
+    assert bench.flight.mode == CONTROL[autopilot]
+    assert abs(bench.body_velocity()[0]) < 0.3
+
+
+def test_without_yaw_rate_px4_holds_its_heading_and_ardupilot_turns_to_its_course():
+    yaw = {}
+    for autopilot in Autopilot:
+        bench = Bench(autopilot).under_control()
+        bench.stream(4.0, y=2.0, frame=1, mask=FULL | 1 << 11)
+        yaw[autopilot] = bench.flight.vehicle.motion.yaw_rad
+    assert yaw[PX4] == pytest.approx(0.0, abs=0.05)
+    assert yaw[ARDUPILOT] == pytest.approx(math.pi / 2, abs=0.2)
+
+
+def test_px4_answers_a_mode_request_twice_and_only_the_second_tells():
+    bench = Bench(PX4)
+    assert bench.mode("OFFBOARD") == [0, 1]
+    assert bench.flight.mode == "HOLD"
+    bench.stream(1.5)
+    assert bench.mode("OFFBOARD") == [0, 0]
+    assert bench.flight.mode == "OFFBOARD"
+
+
+def test_ardupilot_answers_once_and_changes_at_once():
+    bench = Bench(ARDUPILOT)
+    assert bench.mode("GUIDED") == [0]
+    assert bench.mode_in_heartbeat() == 4
+
+
+def test_px4_tells_a_new_mode_with_its_next_heartbeat_only():
+    bench = Bench(PX4).under_control()
+    bench.wait(0.9)  # just after a heartbeat
+    bench.mode("RTL")
+    assert all(message.get_type() != "HEARTBEAT" for message in bench.heard)
+    bench.wait(1.0)
+    assert bench.mode_in_heartbeat() & 0xFF0000 == 4 << 16
+
+
+@pytest.mark.parametrize(("action", "mode"), [(0, "POSCTL"), (3, "RTL"), (4, "LAND"), (5, "HOLD")])
+def test_a_stopped_stream_makes_px4_fly_on_for_a_second_and_fall_back(action, mode):
+    bench = Bench(PX4, COM_OBL_RC_ACT=action).under_control()
+    bench.stream(4.0, x=2.0)
+    bench.wait(1.0)
+    assert bench.flight.mode == "OFFBOARD"
+    assert bench.body_velocity()[0] > 1.6
+    bench.wait(0.4)
+    assert bench.flight.mode == mode
+
+
+def test_px4s_default_fall_back_without_rc_sinks():
+    bench = Bench(PX4).under_control()
+    bench.stream(1.0)
+    bench.wait(4.0)
+    assert bench.body_velocity()[2] == pytest.approx(0.6, abs=0.2)
+
+
+def test_a_stopped_stream_makes_ardupilot_fly_on_for_three_seconds_and_stop_in_guided():
+    bench = Bench(ARDUPILOT).under_control()
+    bench.stream(4.0, x=2.0, yaw_rate=0.2)
+    bench.wait(2.9)
+    assert bench.body_velocity()[0] == pytest.approx(2.0, abs=0.3)
+    assert bench.flight.vehicle.motion.yaw_rate_rad_s == pytest.approx(0.2, abs=0.05)
+    start = bench.flight.vehicle.motion
+    bench.wait(5.0)
+    end = bench.flight.vehicle.motion
+    assert math.hypot(*bench.body_velocity()) < 0.1
+    assert math.hypot(end.north_m - start.north_m, end.east_m - start.east_m) < 3.0
+    assert bench.flight.mode == "GUIDED"
+    bench.stream(3.0, x=2.0)
+    assert bench.body_velocity()[0] == pytest.approx(2.0, abs=0.4)
+
+
+def test_a_resumed_stream_re_enters_offboard_by_itself_unless_somebody_chose_a_mode():
+    bench = Bench(PX4).under_control()
+    bench.wait(2.0)
+    assert bench.flight.mode == "POSCTL"
+    bench.stream(0.2)
+    assert bench.flight.mode == "OFFBOARD"
+    bench.wait(2.0)
+    bench.mode("RTL")
+    bench.stream(1.0)
+    assert bench.flight.mode == "RTL"
+
+
+def test_px4_keeps_offboard_at_1_2_setpoints_a_second_and_flaps_at_0_8():
+    for rate_hz, kept in ((1.2, True), (0.8, False)):
+        bench = Bench(PX4).under_control()
+        modes = set()
+        for _ in range(6):
+            bench.velocity()
+            for _ in range(round(50 / rate_hz)):
+                bench.wait(0.02)
+                modes.add(bench.flight.mode)
+        assert (modes == {"OFFBOARD"}) is kept
+
+
+def test_ardupilot_is_content_with_one_setpoint_in_two_seconds():
+    bench = Bench(ARDUPILOT).under_control()
+    bench.stream(10.0, rate_hz=0.5, x=2.0)
+    assert bench.body_velocity()[0] == pytest.approx(2.0, abs=0.2)
+
+
+@BOTH
+def test_in_another_mode_the_stream_is_ignored_and_a_request_is_granted_even_in_rtl(autopilot):
+    bench = Bench(autopilot).under_control()
+    bench.mode("RTL")
+    bench.stream(2.0, x=3.0)
+    assert bench.flight.mode in ("RTL", "LAND")
+    assert math.hypot(*bench.body_velocity()[:2]) < 0.5
+    bench.mode(CONTROL[autopilot])
+    assert bench.flight.mode == CONTROL[autopilot]
+
+
+@BOTH
+def test_of_two_senders_the_last_wins(autopilot):
+    bench = Bench(autopilot).under_control()
+    other = dialect.MAVLink(None, 1, 192)
+    for _ in range(80):
+        bench.velocity(x=2.0)
+        bench.velocity(x=-2.0, mav=other)
+        bench.wait(0.04)
+    assert bench.body_velocity()[0] < -1.0
+
+
+def test_a_nan_velocity_leaves_px4_in_offboard():
+    bench = Bench(PX4).under_control()
+    bench.stream(2.0, x=math.nan)
+    assert bench.flight.mode == "OFFBOARD"
+    assert math.isfinite(bench.flight.vehicle.motion.north_m)
+
+
+def test_a_nan_yaw_rate_keeps_ardupilot_from_arming_until_a_restart():
+    bench = Bench(ARDUPILOT).under_control()
+    bench.velocity(x=1.0, yaw_rate=math.nan)
+    bench.command(400, 0, 21196)
+    bench.wait(5.0)
+    assert not bench.flight.armed
+    assert bench.command(400, 1) != 0
+    assert not bench.flight.armed
+    assert Bench(ARDUPILOT, height_m=0.0).command(400, 1) == 0
+
+
+def test_zero_velocity_holds_ardupilot_within_2_cm_and_lets_px4_drift():
+    moved = {}
+    for autopilot in Autopilot:
+        bench = Bench(autopilot).under_control()
+        bench.stream(2.0)
+        start = bench.flight.vehicle.motion
+        bench.stream(5.0)
+        end = bench.flight.vehicle.motion
+        moved[autopilot] = math.hypot(end.north_m - start.north_m, end.east_m - start.east_m)
+    assert moved[ARDUPILOT] < 0.02
+    assert moved[PX4] > 0.02
+
+
+@BOTH
+def test_without_our_heartbeat_it_keeps_flying(autopilot):
+    bench = Bench(autopilot).under_control()
+    bench.stream(12.0, x=1.0)
+    assert bench.flight.mode == CONTROL[autopilot]
+
+
+def test_a_lost_ground_station_ends_guided_only_when_asked_to():
+    for enabled, mode in ((0, "GUIDED"), (1, "RTL")):
+        bench = Bench(ARDUPILOT, FS_GCS_ENABLE=enabled).under_control()
+        station = dialect.MAVLink(None, 255, 190)
+        bench.say(station.heartbeat_encode(6, 8, 0, 0, 4), station)
+        bench.stream(4.5, x=1.0)
+        assert bench.flight.mode == "GUIDED"
+        bench.stream(1.0, x=1.0)
+        assert bench.flight.mode == mode
+
+
+@pytest.mark.parametrize(("override", "mode"), [(1, "OFFBOARD"), (3, "POSCTL")])
+def test_sticks_break_offboard_only_with_bit_1_of_com_rc_override(override, mode):
+    bench = Bench(PX4, COM_RC_OVERRIDE=override).under_control()
+    pilot = dialect.MAVLink(None, 255, 190)
+    bench.say(pilot.manual_control_encode(1, 900, 0, 500, 0, 0), pilot)
+    bench.stream(0.2)
+    assert bench.flight.mode == mode
+
+
+@pytest.mark.parametrize(
+    ("autopilot", "fence", "mode"),
+    [
+        (PX4, {"GF_MAX_HOR_DIST": 10.0}, "HOLD"),
+        (PX4, {"GF_MAX_HOR_DIST": 10.0, "GF_ACTION": 3}, "RTL"),
+        (ARDUPILOT, {"FENCE_ENABLE": 1, "FENCE_RADIUS": 10.0}, "RTL"),
+        (ARDUPILOT, {"FENCE_ENABLE": 1, "FENCE_RADIUS": 10.0, "FENCE_ACTION": 4}, "BRAKE"),
+    ],
+)
+def test_a_fence_takes_the_vehicle_over(autopilot, fence, mode):
+    bench = Bench(autopilot, **fence).under_control()
+    bench.stream(4.0, x=2.0)
+    assert bench.flight.mode == CONTROL[autopilot]
+    for _ in range(100):
+        bench.stream(0.1, x=2.0)
+        if bench.flight.mode != CONTROL[autopilot]:
+            break
+    assert bench.flight.mode == mode
+
+
+@pytest.mark.parametrize(("autopilot", "name"), [(PX4, "COM_LOW_BAT_ACT"), (ARDUPILOT, "BATT_FS_LOW_ACT")])
+def test_a_low_battery_takes_the_vehicle_over_when_it_is_set_to(autopilot, name):
+    for action, taken in ((0, False), (2, True)):
+        bench = Bench(autopilot, **{name: action}).under_control()
+        bench.flight.battery = 0.05
+        bench.stream(0.5)
+        assert (bench.flight.mode != CONTROL[autopilot]) is taken
+
+
+def test_an_unknown_command_is_unsupported_and_a_foreign_one_is_not_answered():
+    bench = Bench(PX4)
+    assert bench.command(31000) == 3
+    bench.heard.clear()
+    bench.say(dialect.MAVLink_command_long_message(9, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0))
+    bench.wait(0.1)
+    assert all(message.get_type() != "COMMAND_ACK" for message in bench.heard)
+
+
+@BOTH
+def test_a_parameter_that_is_set_is_told_and_kept(autopilot):
+    name, value = {PX4: ("COM_OF_LOSS_T", 0.5), ARDUPILOT: ("GUID_TIMEOUT", 0.5)}[autopilot]
+    bench = Bench(autopilot)
+    bench.say(dialect.MAVLink_param_set_message(1, 1, name.encode(), value, 9))
+    bench.wait(0.1)
+    assert bench.flight.parameters[name] == value
+    assert any(m.get_type() == "PARAM_VALUE" and m.param_value == value for m in bench.heard)
+
+
+@BOTH
+def test_the_whole_list_of_parameters_comes_on_request(autopilot):
+    bench = Bench(autopilot)
+    bench.say(dialect.MAVLink_param_request_list_message(1, 1))
+    bench.wait(0.1)
+    told = [m for m in bench.heard if m.get_type() == "PARAM_VALUE"]
+    assert [m.param_index for m in told] == list(range(told[0].param_count))
+    assert {m.param_id for m in told} == set(bench.flight.parameters)
+
+
+def test_two_links_hear_each_others_broadcasts_and_only_their_own_answers():
+    system = AutopilotSystem(PX4, Vehicle(PX4, Motion(down_m=-5.0)), links=2)
+    station, companion = dialect.MAVLink(None, 255, 190), dialect.MAVLink(None, 1, 191)
+    system.receive(companion.heartbeat_encode(18, 8, 0, 0, 4).pack(companion), link=0)
+    system.receive(station.heartbeat_encode(6, 8, 0, 0, 4).pack(station), link=1)
+    system.receive(station.command_long_encode(1, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0).pack(station), link=1)
+    kinds = []
+    for link in (0, 1):
+        ears = dialect.MAVLink(None)
+        messages = [m for packet in system.take(link) for m in ears.parse_buffer(packet)]
+        kinds.append([(m.get_type(), m.get_srcSystem()) for m in messages])
+    assert kinds == [[("HEARTBEAT", 255)], [("COMMAND_ACK", 1)]]
