@@ -2,7 +2,9 @@
 
 from bisect import bisect_right
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from operator import attrgetter
 
 from follow.geometry import wrap
 from follow.messages import NEVER, VehicleState
@@ -58,8 +60,8 @@ class Motion:
 
         Before the oldest it is the oldest.  Raises IndexError before the first `add`.
         """
-        a, b, share = bracket(self.attitudes, [s.attitude_t_s for s in self.attitudes], t_s)
-        p, q, part = bracket(self.positions, [s.position_t_s for s in self.positions], t_s)
+        a, b, share = bracket(self.attitudes, attitude_time, t_s)
+        p, q, part = bracket(self.positions, position_time, t_s)
         yaw = a.yaw_rad + wrap(b.yaw_rad - a.yaw_rad) * share
         yaw += b.yaw_rate_rad_s * beyond(t_s, b.attitude_t_s, share)
         ahead = beyond(t_s, q.position_t_s, part)
@@ -80,13 +82,20 @@ class Motion:
         )
 
 
-def bracket(states: deque[VehicleState], times: list[float], t_s: float) -> tuple[VehicleState, VehicleState, float]:
+attitude_time = attrgetter("attitude_t_s")
+position_time = attrgetter("position_t_s")
+
+
+def bracket(
+    states: deque[VehicleState], time: Callable[[VehicleState], float], t_s: float
+) -> tuple[VehicleState, VehicleState, float]:
     """The two states around `t_s` and how far between them it lies, 0..1."""
-    i = bisect_right(times, t_s)
-    if i == 0 or i == len(times):
+    i = bisect_right(states, t_s, key=time)
+    if i == 0 or i == len(states):
         end = states[0] if i == 0 else states[-1]
         return end, end, 1.0
-    return states[i - 1], states[i], (t_s - times[i - 1]) / (times[i] - times[i - 1])
+    before, after = states[i - 1], states[i]
+    return before, after, (t_s - time(before)) / (time(after) - time(before))
 
 
 def beyond(t_s: float, newest_t_s: float, share: float) -> float:

@@ -6,7 +6,7 @@ ground and from the apparent size, each weighted with its own variance.  The tru
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -16,19 +16,26 @@ from follow.motion import Motion, Pose
 from racf.box import Box
 from racf.track import Track
 
+FAR_M = 1e3
+"""Range, and its uncertainty, of a target that was never seen."""
+
 
 @dataclass(frozen=True, slots=True)
 class TargetConfig:
-    """What the estimate knows beforehand."""
+    """What the estimate knows beforehand, and what it takes for the target."""
 
     size_m: float = 1.2  # sqrt(width x height) of what is followed: a person of 0.8 x 1.8 m
     size_relative_std: float = 0.5  # ... which may as well be a car: the ground's range soon corrects it
     bearing_std_rad: float = 0.02  # 1 degree: attitude error of a small autopilot, plus two pixels of the tracker's
     box_relative_std: float = 0.1  # apparent size: RACF's scale steps are 3 %, aspect changes more
-    accel_std_m_s2: float = 2.0  # a runner's start and turn
+    accel_std_m_s2: float = 2.5  # a runner's start and turn; a cyclist's turn (2.5 m/s2 sideways)
     minimum_height_m: float = 1.0  # below it flat ground says nothing of range
+    gate_sigmas: float = 4.0  # a box further off than this is not the target ...
+    gate_size: float = 2.0  # ... nor one so many times larger or smaller than expected
+    lost_after_s: float = 0.5  # unseen for so long, a box must prove itself ...
+    confirm: int = 3  # ... in so many pictures in a row
+    coast_s: float = 6.0  # time constant by which an unseen target is thought to slow down
     compensate: bool = True  # use the pose at the picture's time and predict over the delay
-    lead_s: float = 0.0  # predict this much further, for a vehicle's dead time
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +47,17 @@ class Filter:
     covariance: Array
     size_m: float
     size_var: float
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """What one box says: place on the ground (2,) with covariance (2, 2); its angle; the slant range by the ground."""
+
+    ground: Array
+    covariance: Array
+    apparent_rad: float
+    slant_m: float
+    slant_std_m: float
 
 
 def predicted(f: Filter, t_s: float, accel_std_m_s2: float) -> Filter:
@@ -63,6 +81,37 @@ def corrected(f: Filter, place: Array, place_covariance: Array) -> Filter:
     return Filter(f.t_s, f.mean + gain @ (place - f.mean[:2]), covariance, f.size_m, f.size_var)
 
 
+def resized(f: Filter, place: Place, box_relative_std: float) -> Filter:
+    """The filter after flat ground's word on the true size (a scalar Kalman update); the ground may be silent."""
+    if not math.isfinite(place.slant_std_m):
+        return f
+    measured = place.slant_m * place.apparent_rad
+    variance = measured**2 * ((place.slant_std_m / place.slant_m) ** 2 + box_relative_std**2)
+    gain = f.size_var / (f.size_var + variance)
+    # An aspect change is a new size: 1 % a picture keeps the filter awake.
+    size_var = (1 - gain) * f.size_var + (0.01 * f.size_m) ** 2
+    return replace(f, size_m=f.size_m + gain * (measured - f.size_m), size_var=size_var)
+
+
+def ground_slant(depression_rad: float, box_height_rad: float, height_m: float, c: TargetConfig) -> tuple[float, float]:
+    """Slant range to the centre of a box whose lower edge stands on flat ground, and its standard deviation.
+
+    The centre lies half the target's height, slant·box_height·cos(e)/2, above the ground; so from h - that =
+    slant·sin(e) follows slant = h / (sin e + box_height·cos(e)/2).  Its error is d slant/de = slant/tan(e).  Both are
+    inf when the ray is too flat or the vehicle too low to tell.
+    """
+    if depression_rad < 3 * c.bearing_std_rad or height_m < c.minimum_height_m:
+        return math.inf, math.inf
+    slant = height_m / (math.sin(depression_rad) + box_height_rad * max(math.cos(depression_rad), 0.0) / 2)
+    # Straight down the angle says nothing of the length, but the height's own error (a tenth of a metre) remains.
+    return slant, slant * max(c.bearing_std_rad / abs(math.tan(depression_rad)), 0.1 / height_m)
+
+
+def half_height(size_m: float, box: Box) -> float:
+    """Half the target's true height: size is sqrt(w h), so h/2 = size sqrt(h/w)/2."""
+    return size_m * math.sqrt(box.h / box.w) / 2
+
+
 @dataclass(slots=True)
 class Target:
     """The estimate, fed once a round; `camera` looks `down_rad` below the vehicle's nose."""
@@ -74,6 +123,7 @@ class Target:
     filter: Filter | None = None
     box: Box | None = None
     seen_t_s: float = NEVER
+    proofs: int = 0
 
     def predict(self, state: VehicleState, t_s: float) -> Box | None:
         """Where in the picture of `t_s` the target should appear, or None for where it last did."""
@@ -81,9 +131,8 @@ class Target:
         if self.filter is None or self.box is None:
             return None
         pose = self.pose(state, t_s)
-        f = predicted(self.filter, t_s, self.config.accel_std_m_s2)
-        height = max(-pose.down_m - f.size_m / 2, 0.0)
-        place = np.array([[f.mean[0], f.mean[1], pose.down_m + height]])
+        f = self.carried(t_s)
+        place = np.array([[f.mean[0], f.mean[1], -half_height(f.size_m, self.box)]])
         pixels, depth = project(self.camera, self.rotation(pose), (pose.north_m, pose.east_m, pose.down_m), place)
         if depth[0] <= self.config.minimum_height_m:
             return None
@@ -93,9 +142,47 @@ class Target:
     def update(self, track: Track | None, state: VehicleState, t_s: float) -> Estimate:
         """Take in the track of the picture of `t_s` (None: no new picture); the answer is for `state.t_s`."""
         self.motion.add(state)
-        if track is not None and track.found:
-            self.take(track.box, self.pose(state, t_s), t_s)
+        if track is not None and not (track.found and self.accept(track.box, t_s, self.pose(state, t_s))):
+            self.proofs = 0
         return self.estimate(state)
+
+    def accept(self, box: Box, t_s: float, pose: Pose) -> bool:
+        """Whether the box is where and as large as the target should be; if so it corrects the filter.
+
+        After a loss it does so only once it was right `confirm` times in a row.
+        """
+        c = self.config
+        if self.filter is None:
+            size_var = (c.size_relative_std * c.size_m) ** 2
+            place = self.place(box, pose, c.size_m, size_var)
+            wide = np.zeros((4, 4))
+            wide[:2, :2] = place.covariance
+            wide[2:, 2:] = np.eye(2) * 3.0**2  # m/s: a runner either way
+            self.filter = Filter(t_s, np.append(place.ground, [0.0, 0.0]), wide, c.size_m, size_var)
+        else:
+            f = self.carried(t_s)
+            place = self.place(box, pose, f.size_m, f.size_var)
+            if not self.plausible(f, place, box, pose):
+                return False
+            if t_s - self.seen_t_s > c.lost_after_s and self.proofs + 1 < c.confirm:
+                self.proofs += 1
+                return True
+            self.filter = corrected(f, place.ground, place.covariance)
+        self.filter = resized(self.filter, place, c.box_relative_std)
+        self.box, self.seen_t_s, self.proofs = box, t_s, 0
+        return True
+
+    def plausible(self, f: Filter, place: Place, box: Box, pose: Pose) -> bool:
+        """Whether a box lies within the gate about the prediction, in place (Mahalanobis) and in size."""
+        off = place.ground - f.mean[:2]
+        spread = f.covariance[:2, :2] + place.covariance
+        if float(off @ np.linalg.solve(spread, off)) > self.config.gate_sigmas**2:
+            return False
+        height = -pose.down_m
+        slant = math.hypot(f.mean[0] - pose.north_m, f.mean[1] - pose.east_m, height)
+        expected_rad = f.size_m / max(slant, 0.1)
+        ratio = place.apparent_rad / expected_rad
+        return 1 / self.config.gate_size < ratio < self.config.gate_size
 
     def pose(self, state: VehicleState, t_s: float) -> Pose:
         """The pose to read a picture of `t_s` with."""
@@ -105,68 +192,52 @@ class Target:
         """Camera axes to NED at a pose."""
         return camera_to_ned(self.down_rad, pose.roll_rad, pose.pitch_rad, pose.yaw_rad)
 
-    def take(self, box: Box, pose: Pose, t_s: float) -> None:
-        """Correct place and size with one box seen from `pose`."""
+    def carried(self, t_s: float) -> Filter:
+        """The filter at `t_s`.  A target unseen for longer than `lost_after_s` is thought to slow down."""
+        assert self.filter is not None
         c = self.config
-        size_m = self.filter.size_m if self.filter else c.size_m
-        size_var = self.filter.size_var if self.filter else (c.size_relative_std * c.size_m) ** 2
+        f = predicted(self.filter, t_s, c.accel_std_m_s2)
+        unseen = f.t_s - self.filter.t_s - c.lost_after_s
+        if unseen <= 0:
+            return f
+        slowed = c.coast_s * (1 - math.exp(-unseen / c.coast_s))
+        mean = f.mean.copy()
+        mean[:2] -= mean[2:] * (unseen - slowed)
+        mean[2:] *= math.exp(-unseen / c.coast_s)
+        return replace(f, mean=mean)
+
+    def place(self, box: Box, pose: Pose, size_m: float, size_var: float) -> Place:
+        """Where on the ground a box of a target of that size is, seen from `pose`."""
+        c = self.config
         azimuth, depression = bearing(self.camera, self.rotation(pose), box.centre_x, box.centre_y)
+        level = max(math.cos(depression), 0.05)
         apparent_rad = math.sqrt(box.area) / self.camera.fx
-        by_size = size_m / apparent_rad * math.cos(depression)
+        by_size = size_m / apparent_rad
         by_size_std = by_size * math.hypot(math.sqrt(size_var) / size_m, c.box_relative_std)
-        height = -pose.down_m - size_m / 2
-        ground, ground_std = ground_range(depression, height, c)
-        weight = by_size_std**2 / (by_size_std**2 + ground_std**2) if math.isfinite(ground_std) else 0.0
-        range_m = weight * ground + (1 - weight) * by_size
-        range_std = math.sqrt(weight) * ground_std if weight else by_size_std
+        slant, slant_std = ground_slant(depression, box.h / self.camera.fy, -pose.down_m, c)
+        weight = by_size_std**2 / (by_size_std**2 + slant_std**2) if math.isfinite(slant_std) else 0.0
+        range_m = (weight * slant + (1 - weight) * by_size if weight else by_size) * level
+        range_std = (math.sqrt(weight) * slant_std if weight else by_size_std) * level
+        # The slant's direction errs, too: along the ground that is the height times the angle's error.
+        range_std += abs(pose.down_m) * c.bearing_std_rad
         toward = direction(azimuth, 0.0)[:2]
         across = np.array([-toward[1], toward[0]])
-        spread = np.outer(toward, toward) * range_std**2 + np.outer(across, across) * (range_m * c.bearing_std_rad) ** 2
-        place = np.array([pose.north_m, pose.east_m]) + range_m * toward
-        if self.filter is None:
-            wide = np.zeros((4, 4))
-            wide[:2, :2] = spread
-            wide[2:, 2:] = np.eye(2) * 3.0**2  # m/s: a runner either way
-            self.filter = Filter(t_s, np.append(place, [0.0, 0.0]), wide, size_m, size_var)
-        else:
-            self.filter = corrected(predicted(self.filter, t_s, c.accel_std_m_s2), place, spread)
-        self.learn_size(apparent_rad, ground / math.cos(depression), ground_std)
-        self.box, self.seen_t_s = box, t_s
-
-    def learn_size(self, apparent_rad: float, slant_m: float, ground_std_m: float) -> None:
-        """Correct the true size by what flat ground says of it (a scalar Kalman update); the ground may be silent."""
-        f = self.filter
-        if f is None or not math.isfinite(ground_std_m):
-            return
-        measured = slant_m * apparent_rad
-        variance = measured**2 * ((ground_std_m / slant_m) ** 2 + self.config.box_relative_std**2)
-        gain = f.size_var / (f.size_var + variance)
-        # An aspect change is a new size: 1 % a picture keeps the filter awake.
-        size_var = (1 - gain) * f.size_var + (0.01 * f.size_m) ** 2
-        self.filter = Filter(f.t_s, f.mean, f.covariance, f.size_m + gain * (measured - f.size_m), size_var)
+        across_std = math.hypot(range_m, pose.down_m) * c.bearing_std_rad
+        spread = np.outer(toward, toward) * range_std**2 + np.outer(across, across) * across_std**2
+        ground = np.array([pose.north_m, pose.east_m]) + range_m * toward
+        return Place(ground, spread, apparent_rad, slant, slant_std)
 
     def estimate(self, state: VehicleState) -> Estimate:
         """The filter's answer for `state.t_s`, seen from where the vehicle is."""
-        ahead = self.down_rad - state.pitch_rad
-        if self.filter is None:
-            return Estimate(state.t_s, 0.0, ahead, 1e3, 1e3)
-        c = self.config
+        if self.filter is None or self.box is None:
+            return Estimate(state.t_s, 0.0, self.down_rad - state.pitch_rad, FAR_M, FAR_M)
         pose = self.motion.at(state.t_s)
-        f = predicted(self.filter, state.t_s + c.lead_s, c.accel_std_m_s2) if c.compensate else self.filter
+        f = self.carried(state.t_s) if self.config.compensate else self.filter
         north, east = f.mean[0] - pose.north_m, f.mean[1] - pose.east_m
         range_m = max(math.hypot(north, east), 0.1)
         toward = np.array([north, east]) / range_m
         azimuth = wrap(math.atan2(east, north) - pose.yaw_rad)
-        depression = math.atan2(-pose.down_m - f.size_m / 2, range_m)
+        depression = math.atan2(-pose.down_m - half_height(f.size_m, self.box), range_m)
         range_std = math.sqrt(max(float(toward @ f.covariance[:2, :2] @ toward), 0.0))
-        return Estimate(
-            state.t_s, azimuth, depression, range_m, range_std, float(f.mean[2]), float(f.mean[3]), self.seen_t_s
-        )
-
-
-def ground_range(depression_rad: float, height_m: float, config: TargetConfig) -> tuple[float, float]:
-    """Range along flat ground at that depression and its standard deviation, d(h/tan e)/de = (h² + r²)/h; else inf."""
-    if depression_rad < 3 * config.bearing_std_rad or height_m < config.minimum_height_m:
-        return math.inf, math.inf
-    range_m = height_m / math.tan(depression_rad) if depression_rad < math.pi / 2 else 0.0
-    return range_m, (height_m**2 + range_m**2) / height_m * config.bearing_std_rad
+        speed = float(f.mean[2]), float(f.mean[3])
+        return Estimate(state.t_s, azimuth, depression, range_m, range_std, *speed, self.seen_t_s)

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from follow.messages import NEVER, Estimate, Setpoint, VehicleState
-from follow.servo import Servo, ServoConfig
+from follow.servo import Servo, ServoConfig, ServoMode
 
 DOWN = math.radians(30)
 CONFIG = ServoConfig()
@@ -57,3 +57,65 @@ def test_a_target_crossing_to_the_right_turns_right_at_the_rate_of_its_bearing()
 
 def test_a_target_never_seen_asks_for_nothing():
     assert Servo(DOWN).update(Estimate(0.0, 1.0, 0.0, 50.0, 1.0, seen_t_s=NEVER), STATE) == Setpoint()
+
+
+def fly(config, target, seconds, start=(0.0, 0.0, 0.0)):
+    """A vehicle that does at once what is wished and knows where the target is: (north, east, yaw) at the end.
+
+    `target` is a function of time to (north, east).
+    """
+    servo, dt = Servo(DOWN, config), 0.05
+    north, east, yaw, height = *start, 7.0
+    for i in range(round(seconds / dt)):
+        t_s = i * dt
+        (n, e), (n1, e1) = target(t_s), target(t_s + 0.01)
+        velocity = (n1 - n) / 0.01, (e1 - e) / 0.01
+        away = math.hypot(n - north, e - east)
+        azimuth = math.remainder(math.atan2(e - east, n - north) - yaw, math.tau)
+        seen = Estimate(t_s, azimuth, math.atan2(height, away), away, 0.1, *velocity, seen_t_s=t_s)
+        w = servo.update(seen, VehicleState(t_s, yaw_rad=yaw, down_m=-height))
+        north += (w.forward_m_s * math.cos(yaw) - w.right_m_s * math.sin(yaw)) * dt
+        east += (w.forward_m_s * math.sin(yaw) + w.right_m_s * math.cos(yaw)) * dt
+        yaw += w.yaw_rate_rad_s * dt
+        height -= w.down_m_s * dt
+    return north, east, yaw
+
+
+def walk(t_s):
+    return 12.0 + 1.4 * t_s, 3.0
+
+
+def test_a_chase_ends_at_the_stand_off_behind_the_target():
+    north, east, yaw = fly(ServoConfig(), walk, 60)
+    n, e = walk(60)
+    assert math.dist((north, east), (n, e)) == pytest.approx(12.0, abs=0.3)
+    assert math.atan2(e - east, n - north) == pytest.approx(yaw, abs=0.02)
+
+
+def test_centre_stays_in_place_and_turns():
+    north, east, yaw = fly(ServoConfig(mode=ServoMode.CENTRE), walk, 20)
+    assert (north, east) == (0.0, 0.0)
+    assert yaw == pytest.approx(math.atan2(3.0, 12.0 + 28.0), abs=0.02)
+
+
+def test_an_orbit_keeps_its_distance_and_goes_around():
+    config = ServoConfig(mode=ServoMode.ORBIT, orbit_m_s=2.0)
+    half_turn_s = math.pi * 12.0 / 2.0
+    north, east, _ = fly(config, lambda t: (12.0, 0.0), half_turn_s)
+    assert math.dist((north, east), (12.0, 0.0)) == pytest.approx(12.0, abs=0.5)
+    assert north == pytest.approx(24.0, abs=1.0)
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_profile_ends_abeam_of_the_course_on_the_nearer_side(side):
+    north, east, _ = fly(ServoConfig(mode=ServoMode.PROFILE), lambda t: (12.0 + t, -side * 3.0), 60)
+    n, e = 12.0 + 60, -side * 3.0
+    assert (east - e) * side == pytest.approx(12.0, abs=0.5)
+    assert north == pytest.approx(n, abs=1.0)
+
+
+def test_top_down_flies_so_that_the_optical_axis_meets_the_target_and_does_not_turn():
+    north, east, yaw = fly(ServoConfig(mode=ServoMode.TOP_DOWN), walk, 30)
+    n, e = walk(30)
+    assert yaw == 0.0
+    assert (n - north, e - east) == pytest.approx((7.0 / math.tan(DOWN), 0.0), abs=0.3)

@@ -144,3 +144,33 @@ def test_beyond_the_newest_message_the_pose_moves_on_for_a_moment_only():
     assert motion.at(0.1).north_m == pytest.approx(0.2)
     assert motion.at(0.1).yaw_rad == pytest.approx(0.1)
     assert motion.at(99.0) == replace(motion.at(0.3), t_s=99.0)
+
+
+def test_after_a_loss_one_box_is_not_enough():
+    target = Target(CAMERA, DOWN)
+    watch(target, lambda t: (12.0, 0.0), [hovering(i * DT) for i in range(60)])
+    seen_at = []
+    for i in range(100, 106):
+        state = hovering(i * DT)
+        seen_at.append(target.update(seen(box_of((12.0, 0.0), state)), state, i * DT).seen_t_s)
+    assert seen_at[0] == seen_at[1] == 59 * DT
+    assert seen_at[2] == 102 * DT
+
+
+@pytest.mark.parametrize("change", ["elsewhere", "much larger", "much smaller"])
+def test_a_box_where_the_target_cannot_be_is_not_believed(change):
+    target = Target(CAMERA, DOWN)
+    states = [hovering(i * DT) for i in range(61)]
+    watch(target, lambda t: (12.0, 0.0), states[:60])
+    true = box_of((12.0, 0.0), states[60])
+    wrong = {"elsewhere": true.moved(200, 0), "much larger": true.scaled(2.5), "much smaller": true.scaled(0.4)}
+    assert target.update(seen(wrong[change]), states[60], 60 * DT).seen_t_s == 59 * DT
+
+
+def test_an_unseen_target_walks_on_slower_and_slower_and_not_for_ever():
+    target = Target(CAMERA, DOWN)
+    watch(target, lambda t: (12.0 + 1.5 * t, 0.0), [hovering(i * DT) for i in range(90)])
+    at = [target.update(None, hovering(3.0 + s), 89 * DT).range_m for s in (0.0, 2.0, 60.0, 120.0)]
+    assert at[1] - at[0] == pytest.approx(2.0 * 1.5, rel=0.15)
+    assert at[3] - at[0] < 1.5 * 8.0
+    assert at[3] == pytest.approx(at[2], abs=0.1)
