@@ -6,49 +6,20 @@
 import math
 from dataclasses import dataclass, field, replace
 
+from follow.bounds import bounded
 from follow.geometry import wrap
 from follow.limiter import Rate, Velocity
+from follow.limits import Limits
 from follow.messages import NEVER, Decision, Estimate, Order, Setpoint, VehicleState
 from follow.modes import FLYING, STREAMING, Event, Mode, after
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
-    """What no setpoint may pass.  Raises ValueError when a number is not positive or the altitude band is empty."""
-
-    speed_m_s: float = 8.0  # horizontal; a cyclist's speed
-    climb_m_s: float = 2.0  # up and down; ArduPilot's own default is 2.5 up, 1.5 down
-    accel_m_s2: float = 2.5  # both autopilots fly it at 14 degrees of tilt; PX4 shapes nothing itself
-    jerk_m_s3: float = 10.0  # twice ArduPilot's PSC_JERK_XY, which shapes again behind us
-    climb_accel_m_s2: float = 2.0
-    yaw_rate_rad_s: float = 1.5  # above it motion blur at 30 frames/s eats the picture's detail
-    yaw_accel_rad_s2: float = 6.0
-    floor_m: float = 2.0  # above the start; a person's reach
-    ceiling_m: float = 100.0  # 120 m is the open category's limit in Europe, with margin
-    fence_m: float = 300.0  # from where FOLLOW began; visual line of sight of a small drone
-    frame_age_s: float = 0.2  # six pictures at 30 frames/s
-    latency_s: float = 0.0  # the camera's own known delay, added to the frame's age limit
-    attitude_age_s: float = 0.1
-    position_age_s: float = 0.5
-    heartbeat_age_s: float = 3.0  # three missed heartbeats
-    coast_after_s: float = 0.25  # unseen for so long is lost
-    search_after_s: float = 2.0  # and so long: hover and search
-    give_up_after_s: float = 20.0
-    brake_s: float = 1.0  # stale data may come back for so long before the stream stops
-    engage_s: float = 5.0  # the autopilot has so long to obey; PX4 may take 1 s of stream and 1 s to say so
-
-    def __post_init__(self) -> None:
-        for name in self.__slots__:
-            value = getattr(self, name)
-            if not (math.isfinite(value) and (value > 0 or (name == "latency_s" and value == 0))):
-                raise ValueError(f"limit {name} must be a positive number, not {value:g}")
-        if self.floor_m >= self.ceiling_m:
-            raise ValueError(f"the floor {self.floor_m:g} m must lie below the ceiling {self.ceiling_m:g} m")
-
-
-@dataclass(frozen=True, slots=True)
 class Gate:
-    """What the gate remembers from round to round.  Velocities are NED."""
+    """What the gate remembers from round to round.  Velocities are NED, `start` is where FOLLOW began.
+
+    `ordered` is an order not yet carried out, `ordered_t_s` the first round that knew of it.
+    """
 
     mode: Mode = Mode.OBSERVE
     t_s: float = NEVER
@@ -58,7 +29,8 @@ class Gate:
     yaw: Rate = field(default_factory=Rate)
     start_north_m: float = 0.0
     start_east_m: float = 0.0
-    wants_follow: bool = False
+    ordered: Order | None = None
+    ordered_t_s: float | None = None
 
 
 STEP_S = 0.1
@@ -88,25 +60,34 @@ def stale(state: VehicleState, frame_t_s: float, limits: Limits) -> tuple[str, .
     return tuple(old)
 
 
-def events(gate: Gate, estimate: Estimate, state: VehicleState, old: tuple[str, ...], limits: Limits) -> list[Event]:
+def unseen(estimate: Estimate, t_s: float, limits: Limits) -> float:
+    """Seconds since the target was seen, beyond the camera's own delay; inf for an estimate that is not finite."""
+    numbers = (estimate.azimuth_rad, estimate.depression_rad, estimate.range_m, estimate.range_std_m)
+    if not all(abs(v) <= PLAUSIBLE for v in (*numbers, estimate.north_m_s, estimate.east_m_s)):
+        return math.inf
+    age_s = t_s - estimate.seen_t_s - limits.latency_s
+    return age_s if math.isfinite(age_s) else math.inf
+
+
+def events(gate: Gate, unseen_s: float, state: VehicleState, old: tuple[str, ...], limits: Limits) -> list[Event]:
     """What this round finds, the gravest first."""
-    unseen = state.t_s - estimate.seen_t_s - limits.latency_s
-    seen = unseen <= limits.coast_after_s
-    found: list[Event] = []
+    seen = unseen_s <= limits.coast_after_s
+    green = seen and not old and state.armed and not state.landed
+    found = [Event.ORDER_OBSERVE] if gate.ordered is Order.OBSERVE else []
     if gate.mode in FLYING and not (state.in_control and state.armed):
         found.append(Event.CONTROL_LOST)
     found.append(Event.STALE if old else Event.FRESH)
-    found.append(Event.CHECKS_GREEN if seen and not old and state.armed and not state.landed else Event.CHECKS_RED)
-    if gate.wants_follow and gate.mode is Mode.READY and found[-1] is Event.CHECKS_GREEN:
+    found.append(Event.CHECKS_GREEN if green else Event.CHECKS_RED)
+    if gate.ordered is Order.FOLLOW and (green or gate.mode in (Mode.ENDED, Mode.HOLD)):
         found.append(Event.ORDER_FOLLOW)
-    if gate.mode in (Mode.READY, Mode.ENGAGE) and state.in_control:
+    if state.in_control:
         found.append(Event.CONTROL_GAINED)
-    elif gate.mode is Mode.ENGAGE and state.t_s - gate.since_s > limits.engage_s:
+    if gate.mode is Mode.ENGAGE and state.t_s - gate.since_s > limits.engage_s:
         found.append(Event.TIMEOUT)
     found.append(Event.SEEN if seen else Event.UNSEEN)
-    if not unseen <= limits.search_after_s:
+    if unseen_s > limits.search_after_s:
         found.append(Event.LONG_UNSEEN)
-    if not unseen <= limits.give_up_after_s:
+    if unseen_s > limits.give_up_after_s:
         found.append(Event.GIVEN_UP)
     if gate.mode is Mode.BRAKE and speed(gate) < STILL_M_S and state.t_s - gate.since_s >= limits.brake_s:
         found.append(Event.STOPPED)
@@ -118,41 +99,21 @@ def speed(gate: Gate) -> float:
     return math.hypot(*gate.horizontal.v, *gate.down.v)
 
 
-def goal(mode: Mode, wish: Setpoint, estimate: Estimate, state: VehicleState, limits: Limits) -> Setpoint:
-    """What the mode leaves of the wish, before the limits."""
+def goal(mode: Mode, wish: Setpoint, unseen_s: float, limits: Limits) -> Setpoint:
+    """What the mode leaves of the wish: all, less and less, a turn, nothing."""
     if mode not in (Mode.FOLLOW, Mode.COAST, Mode.SEARCH) or not wish.is_finite():
         return Setpoint()
-    wish = Setpoint(*(min(max(getattr(wish, name), -PLAUSIBLE), PLAUSIBLE) for name in Setpoint.__slots__))
+    wish = Setpoint(*(clipped(getattr(wish, name), PLAUSIBLE) for name in Setpoint.__slots__))
     if mode is Mode.FOLLOW:
         return wish
-    unseen = state.t_s - estimate.seen_t_s - limits.latency_s
-    share = min(max(1 - unseen / limits.search_after_s, 0.0), 1.0) if mode is Mode.COAST else 0.0
-    return Setpoint(wish.forward_m_s * share, wish.right_m_s * share, wish.down_m_s * share, wish.yaw_rate_rad_s)
+    share = clipped(max(1 - unseen_s / limits.search_after_s, 0.0), 1.0) if mode is Mode.COAST else 0.0
+    turn = clipped(wish.yaw_rate_rad_s, limits.search_rad_s)
+    return Setpoint(wish.forward_m_s * share, wish.right_m_s * share, wish.down_m_s * share, turn)
 
 
-def braking_speed(room_m: float, accel_m_s2: float) -> float:
-    """The speed from which half the allowed deceleration stops within the room, v = sqrt(a d); 0 without room."""
-    return math.sqrt(accel_m_s2 * max(room_m, 0.0))
-
-
-def within(gate: Gate, want: Setpoint, state: VehicleState, limits: Limits) -> tuple[float, float, float]:
-    """The goal as NED velocity, held inside speed, fence and altitude band."""
-    c, s = math.cos(state.yaw_rad), math.sin(state.yaw_rad)
-    north = c * want.forward_m_s - s * want.right_m_s
-    east = s * want.forward_m_s + c * want.right_m_s
-    over = math.hypot(north, east) / limits.speed_m_s
-    if over > 1:
-        north, east = north / over, east / over
-    out_north, out_east = state.north_m - gate.start_north_m, state.east_m - gate.start_east_m
-    distance = math.hypot(out_north, out_east)
-    if distance > 0:
-        outward = (north * out_north + east * out_east) / distance
-        excess = max(outward - braking_speed(limits.fence_m - distance, limits.accel_m_s2), 0.0)
-        north, east = north - excess * out_north / distance, east - excess * out_east / distance
-    height = -state.down_m
-    fastest_down = min(limits.climb_m_s, braking_speed(height - limits.floor_m, limits.climb_accel_m_s2))
-    fastest_up = min(limits.climb_m_s, braking_speed(limits.ceiling_m - height, limits.climb_accel_m_s2))
-    return north, east, min(max(want.down_m_s, -fastest_up), fastest_down)
+def clipped(value: float, largest: float) -> float:
+    """The value within ±largest."""
+    return min(max(value, -largest), largest)
 
 
 def begun(gate: Gate, state: VehicleState, limits: Limits) -> Gate:
@@ -173,31 +134,50 @@ def decide(
 ) -> tuple[Gate, Decision]:
     """One round of the gate."""
     old = stale(state, frame_t_s, limits)
+    unseen_s = unseen(estimate, state.t_s, limits)
     mode = gate.mode
-    for event in events(gate, estimate, state, old, limits):
+    for event in events(gate, unseen_s, state, old, limits):
         mode = after(mode, event)
     t_s = state.t_s if math.isfinite(state.t_s) else gate.t_s
-    if mode is not gate.mode:
-        gate = replace(gate, since_s=t_s, wants_follow=gate.wants_follow and mode in (Mode.OBSERVE, Mode.READY))
-    dt = min(max(t_s - gate.t_s, 0.0), STEP_S) if gate.t_s > NEVER else 0.0
+    since_s = gate.since_s if mode is gate.mode else t_s
+    dt = clipped(max(t_s - gate.t_s, 0.0), STEP_S) if gate.t_s > NEVER else 0.0
     notes = old if wish.is_finite() else (*old, "the wish is not finite")
-    if mode not in STREAMING:
-        return replace(gate, mode=mode, t_s=t_s), Decision(None, mode.value, notes)
-    if gate.mode not in STREAMING or mode is Mode.ENGAGE:
+    if mode in STREAMING and not math.isfinite(state.yaw_rad):
+        mode = Mode.ENDED  # without a heading no direction can be sent, not even zero turned into the body's axes
+    if mode in STREAMING and (gate.mode not in STREAMING or mode is Mode.ENGAGE):
         gate, dt = begun(gate, state, limits), 0.0
-    if old and not math.isfinite(state.yaw_rad):
-        return replace(gate, mode=Mode.ENDED, t_s=t_s), Decision(None, Mode.ENDED.value, notes)
-    want = goal(mode, wish, estimate, state, limits)
-    north, east, down = (0.0, 0.0, 0.0) if old else within(gate, want, state, limits)
-    gate = replace(
+    gate = remembered(replace(gate, mode=mode, t_s=t_s, since_s=since_s), limits)
+    if mode not in STREAMING:
+        return gate, Decision(None, mode.value, notes)
+    want = goal(mode, wish, unseen_s, limits)
+    velocity, held = (0.0, 0.0, 0.0), ()
+    if not old and math.isfinite(unseen_s):
+        speed_m_s = limits.speed_m_s if mode is Mode.FOLLOW else min(limits.coast_m_s, limits.speed_m_s)
+        start = gate.start_north_m, gate.start_east_m
+        velocity, held = bounded(want, speed_m_s, estimate, state, start, limits)
+    gate = ramped(gate, velocity, want.yaw_rate_rad_s, dt, limits)
+    return gate, Decision(body_setpoint(gate, state.yaw_rad), mode.value, (*notes, *held))
+
+
+def remembered(gate: Gate, limits: Limits) -> Gate:
+    """The gate with its order forgotten once it is carried out, or void once it waited too long."""
+    if gate.ordered is None:
+        return gate
+    since_s = gate.t_s if gate.ordered_t_s is None else gate.ordered_t_s
+    if gate.mode in STREAMING or gate.ordered is Order.OBSERVE or gate.t_s - since_s > limits.order_s:
+        return replace(gate, ordered=None, ordered_t_s=None)
+    return replace(gate, ordered_t_s=since_s)
+
+
+def ramped(gate: Gate, velocity: tuple[float, float, float], yaw_rate: float, dt_s: float, limits: Limits) -> Gate:
+    """The gate one step nearer to a NED velocity and a yaw rate, within acceleration and jerk."""
+    n, e, down = velocity
+    return replace(
         gate,
-        mode=mode,
-        t_s=t_s,
-        horizontal=gate.horizontal.towards((north, east), dt, limits.speed_m_s, limits.accel_m_s2, limits.jerk_m_s3),
-        down=gate.down.towards((down,), dt, limits.climb_m_s, limits.climb_accel_m_s2, limits.jerk_m_s3),
-        yaw=gate.yaw.towards(want.yaw_rate_rad_s, dt, limits.yaw_rate_rad_s, limits.yaw_accel_rad_s2),
+        horizontal=gate.horizontal.towards((n, e), dt_s, limits.speed_m_s, limits.accel_m_s2, limits.jerk_m_s3),
+        down=gate.down.towards((down,), dt_s, limits.climb_m_s, limits.climb_accel_m_s2, limits.jerk_m_s3),
+        yaw=gate.yaw.towards(yaw_rate, dt_s, limits.yaw_rate_rad_s, limits.yaw_accel_rad_s2),
     )
-    return gate, Decision(body_setpoint(gate, state.yaw_rad), mode.value, notes)
 
 
 def body_setpoint(gate: Gate, yaw_rad: float) -> Setpoint:
@@ -220,9 +200,5 @@ class Safety:
         return decision
 
     def order(self, order: Order) -> None:
-        """Take in what the operator asks for: FOLLOW waits for green checks, OBSERVE acts at once."""
-        if order is Order.FOLLOW:
-            mode = after(self.gate.mode, Event.ORDER_FOLLOW) if self.gate.mode is not Mode.READY else Mode.READY
-            self.gate = replace(self.gate, mode=mode, wants_follow=True)
-        else:
-            self.gate = replace(self.gate, mode=after(self.gate.mode, Event.ORDER_OBSERVE), wants_follow=False)
+        """Take in what the operator asks for: the next round acts on it, FOLLOW as soon as the checks are green."""
+        self.gate = replace(self.gate, ordered=order, ordered_t_s=None)

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from follow.bounds import apart, approach_speed, fenced, in_view
 from follow.limiter import Rate, Velocity
 from follow.messages import HOVER, NEVER, Estimate, Order, Setpoint, VehicleState
 from follow.modes import Mode
@@ -190,19 +191,21 @@ def test_a_short_stall_is_ridden_out():
 
 
 @pytest.mark.parametrize(("height", "wish"), [(1.5, 1.0), (101.0, -1.0)])
-def test_beyond_the_altitude_band_no_further(height, wish):
+def test_beyond_the_altitude_band_the_vehicle_is_led_back_slowly(height, wish):
     safety, t_s = engaged(down_m=-height)
-    assert fly(safety, t_s, 1.0, Setpoint(down_m_s=wish), down_m=-height)[-1].setpoint == HOVER
+    sent = fly(safety, t_s, 1.0, Setpoint(down_m_s=wish), down_m=-height)[-1].setpoint
+    assert sent is not None
+    assert 0 < -sent.down_m_s * math.copysign(1, wish) <= 0.5
 
 
 def test_the_fence_stops_outward_but_not_inward_motion():
     safety, t_s = engaged()
-    out = fly(safety, t_s, 4.0, Setpoint(3.0), north_m=301.0)[-1].setpoint
-    back = fly(safety, t_s + 4, 4.0, Setpoint(-3.0), north_m=301.0)[-1].setpoint
+    out = fly(safety, t_s, 4.0, Setpoint(3.0), north_m=300.5)[-1].setpoint
+    back = fly(safety, t_s + 4, 4.0, Setpoint(-3.0), north_m=300.5)[-1].setpoint
     assert out is not None
     assert back is not None
-    assert out.forward_m_s == pytest.approx(0, abs=1e-6)
-    assert back.forward_m_s == pytest.approx(-3.0, abs=1e-2)
+    assert -0.5 <= out.forward_m_s < 0
+    assert back.forward_m_s == pytest.approx(-LIMITS.blind_m_s, abs=1e-2)
 
 
 def test_the_gate_is_a_function_of_its_state():
@@ -227,3 +230,74 @@ def test_impossible_limits_are_refused(bad):
 def test_an_untouched_gate_observes():
     assert Gate().mode is Mode.OBSERVE
     assert Gate().t_s == NEVER
+
+
+def test_an_order_that_could_not_be_obeyed_for_long_is_void():
+    safety = Safety(LIMITS)
+    safety.order(Order.FOLLOW)
+    fly(safety, 0.0, 31.0, HOVER, armed=False)
+    assert fly(safety, 31.0, 1.0, HOVER)[-1].mode == "ready"
+
+
+def test_after_holding_the_operator_can_ask_again():
+    safety, t_s = engaged()
+    fly(safety, t_s, 30.0, HOVER, seen_t_s=t_s)
+    assert fly(safety, t_s + 30, 1.0, HOVER)[-1].mode == "hold"
+    safety.order(Order.FOLLOW)
+    assert fly(safety, t_s + 31, 1.0, HOVER)[-1].mode == "follow"
+
+
+def test_a_wish_that_is_not_finite_hovers_and_says_so():
+    safety, t_s = engaged()
+    decision = fly(safety, t_s, 2.0, Setpoint(math.nan, 0.0, 0.0, 1.0))[-1]
+    assert decision.setpoint == HOVER
+    assert "the wish is not finite" in decision.notes
+
+
+def test_an_estimate_that_is_not_finite_counts_as_unseen():
+    safety, t_s = engaged()
+    for i in range(1, 10):
+        now = t_s + i * DT
+        decision = safety.allow(Setpoint(2.0), replace(seen(now), range_m=math.nan), flying(now), now)
+    assert decision.mode != "follow"
+
+
+@given(st.floats(-20, 20), st.floats(-20, 20))
+def test_out_of_the_view_nothing_is_flown_faster_than_blind_speed(forward, right):
+    f, r = in_view(forward, right, LIMITS)
+    seen_angles = [LIMITS.half_view_rad * i / 50 for i in range(-50, 51)]
+    lengths = [max(f * math.cos(a) + r * math.sin(a), 0.0) for a in seen_angles]
+    off = min(math.hypot(f - k * math.cos(a), r - k * math.sin(a)) for k, a in zip(lengths, seen_angles, strict=True))
+    assert off <= LIMITS.blind_m_s + 0.02
+    assert math.hypot(f, r) <= math.hypot(forward, right) + 1e-9
+
+
+@given(st.floats(-20, 20), st.floats(-3, 3), st.floats(0.1, 100), st.floats(0, 30), st.floats(2, 30))
+def test_closing_in_stops_before_the_stand_off_were_the_target_as_near_as_it_may_be(speed, azimuth, away, std, height):
+    estimate = replace(seen(0.0), azimuth_rad=azimuth, range_m=away, range_std_m=std)
+    state = flying(0.0, down_m=-height)
+    f, r = apart(speed * math.cos(azimuth), speed * math.sin(azimuth), estimate, state, LIMITS)
+    closing = f * math.cos(azimuth) + r * math.sin(azimuth)
+    clearance = math.hypot(max(away - 2 * std, 0.0), height - 2.0)
+    if clearance <= LIMITS.standoff_m:
+        assert closing <= 1e-9
+    assert closing <= max(speed, 0.0) + 1e-9 if speed > 0 else closing == pytest.approx(speed)
+
+
+@given(st.floats(-9, 9), st.floats(-9, 9), st.floats(-500, 500), st.floats(-500, 500))
+def test_beyond_the_fence_no_velocity_leads_outward(north, east, out_north, out_east):
+    n, e = fenced(north, east, (out_north, out_east), LIMITS)
+    if math.hypot(out_north, out_east) >= LIMITS.fence_m:
+        assert n * out_north + e * out_east <= 1e-6
+
+
+@pytest.mark.parametrize("speed", [2.0, 8.0])
+def test_a_vehicle_that_answers_late_stops_before_the_border(speed):
+    """A vehicle with half a second of lag behind the ramps, flown at the border at full speed."""
+    room, v, ramp = 60.0, 0.0, Velocity()
+    for _ in range(3000):
+        ramp = ramp.towards((min(speed, approach_speed(room, LIMITS.accel_m_s2)), 0.0), DT, 8.0, 2.5, 10.0)
+        v += (ramp.v[0] - v) * DT / 0.5
+        room -= v * DT
+        assert room > -0.2
+    assert room < 0.5
