@@ -123,7 +123,6 @@ GROUPS = (
             "horizontal.omega_rad_s": (4, 30),
             "horizontal.zeta": (0.5, 1.3),
             "horizontal.drag_per_s": (0, 0.6),
-            "horizontal.drag_2_per_m": (0, 0.2),
         },
     ),
     Group(
@@ -133,7 +132,7 @@ GROUPS = (
             "vertical.gain_per_s": (0.3, 15),
             "vertical.integral_per_s2": (0, 8),
             "vertical.feed_forward": (0, 1.2),
-            "vertical.omega_rad_s": (4, 40),
+            "vertical.omega_rad_s": (4, 25),
             "vertical.drag_per_s": (0, 3),
         },
     ),
