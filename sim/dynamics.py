@@ -170,6 +170,12 @@ def ramp(v: complex, a: complex, command: complex, limit: float, jerk: float, dt
     return v + a * dt, a
 
 
+def lean(asked: complex) -> tuple[float, float]:
+    """(roll, pitch) at which the rotors give that acceleration, forward + i·right, while they carry the weight."""
+    pitch = -math.atan2(asked.real, GRAVITY_M_S2)
+    return math.atan2(asked.imag * math.cos(pitch), GRAVITY_M_S2), pitch
+
+
 class Vehicle:
     """The vehicle in flight.  The same seed and the same calls give the same motion, bit for bit."""
 
@@ -193,6 +199,9 @@ class Vehicle:
         self._plane = _Loop(v, v)
         self._lift = _Loop(start.down_m_s, start.down_m_s)
         self._plane.a = self._plane.integral = self.answer.horizontal.drag_per_s * (v - self._air())
+        if not self.motion.landed:
+            roll, pitch = lean(self._plane.a * cmath.exp(-1j * start.yaw_rad))
+            self.motion = replace(self.motion, roll_rad=roll, pitch_rad=pitch)
         self._lift.a = self._lift.integral = self.answer.vertical.drag_per_s * start.down_m_s
         self._rate_ref = self._rate = start.yaw_rate_rad_s
         self._rate_integral = self.answer.turn.damping_per_s * self._rate
@@ -251,7 +260,7 @@ class Vehicle:
         self._plane.step(answer.horizontal, command, self._air(), dt)
         self._lift.step(answer.vertical, down, 0.0, dt)
         self._turn(turning.yaw_rate_rad_s, dt)
-        tilt = self._plane.a * cmath.exp(-1j * yaw)
+        roll, pitch = lean(self._plane.a * cmath.exp(-1j * yaw))
         v, v_down = self._plane.v, self._lift.v.real
         height_left = -now.down_m
         landed = height_left - v_down * dt <= 0.0 and v_down >= 0.0
@@ -263,8 +272,8 @@ class Vehicle:
             north_m_s=v.real,
             east_m_s=v.imag,
             down_m_s=v_down,
-            roll_rad=math.atan2(tilt.imag, GRAVITY_M_S2),
-            pitch_rad=-math.atan2(tilt.real, GRAVITY_M_S2),
+            roll_rad=roll,
+            pitch_rad=pitch,
             yaw_rad=math.remainder(yaw + self._rate * dt, math.tau),
             yaw_rate_rad_s=self._rate,
             landed=landed,

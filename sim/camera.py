@@ -1,0 +1,208 @@
+"""The scene's camera behind the Camera seam: on the built-in vehicle in lockstep, on any other link in real time."""
+
+import math
+import time
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from types import TracebackType
+from typing import Protocol
+
+import numpy as np
+from typing_extensions import Self
+
+from follow.geometry import Intrinsics, camera_to_ned
+from follow.link import Link
+from follow.messages import NEVER, Frame
+from racf.box import Box
+from sim.dynamics import Motion
+from sim.optics import Lens, Optics, Sensor, smear
+from sim.scene import Image, Scene, Seen, View
+from sim.world import Place, World
+
+ROUNDS_PER_S = 30.0  # the loop runs at least so often, with or without a picture
+
+
+@dataclass(frozen=True, slots=True)
+class CameraSettings:
+    """One camera: what it sees, how it hangs, how often and how late its pictures come."""
+
+    intrinsics: Intrinsics = field(default_factory=lambda: Intrinsics.from_fov(640, 360, math.radians(80.0)))
+    down_rad: float = 0.5  # below the vehicle's nose
+    frames_per_s: float = 30.0
+    latency_s: float = 0.0
+    drop_share: float = 0.0
+    optics: Optics = field(default_factory=Optics)
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """What is true of one picture: when and from where it was taken; of each actor its place, box and visible share."""
+
+    index: int
+    t_s: float
+    motion: Motion
+    places: tuple[Place, ...]
+    seen: tuple[Seen, ...]
+
+    @property
+    def box(self) -> Box | None:
+        """The target's whole box, which may reach beyond the picture; None behind the camera."""
+        return self.seen[0].box
+
+    @property
+    def visible(self) -> float:
+        """The share of the target that shows."""
+        return self.seen[0].visible
+
+
+class Flight(Protocol):
+    """What carries the camera."""
+
+    def advance(self, dt_s: float) -> Motion:
+        """Let that much time pass and say where the camera's vehicle is then."""
+        ...
+
+
+class LiveFlight:
+    """Any link in real time: the vehicle is where its telemetry says, carried on to now by its own velocity.
+
+    The scene is put where the vehicle is at the first call: it begins at the scenario's start, looking along its yaw.
+    """
+
+    def __init__(self, link: Link, start: Motion) -> None:
+        self.link, self.start = link, start
+        self._anchor: Motion | None = None
+        self._due_s = 0.0
+
+    def advance(self, dt_s: float) -> Motion:
+        """Sleep until the time has passed; raises LinkError through the link when it breaks."""
+        now = time.monotonic()
+        self._due_s = max(self._due_s + dt_s, now - dt_s) if self._due_s else now + dt_s
+        if self._due_s > now:
+            time.sleep(self._due_s - now)
+        m = self._motion()
+        if self._anchor is None:
+            self._anchor = m
+        a = self._anchor
+        turn = self.start.yaw_rad - a.yaw_rad
+        c, s = math.cos(turn), math.sin(turn)
+        north, east = m.north_m - a.north_m, m.east_m - a.east_m
+        return replace(
+            m,
+            north_m=self.start.north_m + c * north - s * east,
+            east_m=self.start.east_m + s * north + c * east,
+            north_m_s=c * m.north_m_s - s * m.east_m_s,
+            east_m_s=s * m.north_m_s + c * m.east_m_s,
+            yaw_rad=math.remainder(m.yaw_rad + turn, math.tau),
+        )
+
+    def _motion(self) -> Motion:
+        s = self.link.state()
+        old = s.t_s - s.position_t_s if s.position_t_s > NEVER else 0.0
+        turned = s.t_s - s.attitude_t_s if s.attitude_t_s > NEVER else 0.0
+        return Motion(
+            t_s=s.t_s,
+            north_m=s.north_m + old * s.north_m_s,
+            east_m=s.east_m + old * s.east_m_s,
+            down_m=s.down_m + old * s.down_m_s,
+            north_m_s=s.north_m_s,
+            east_m_s=s.east_m_s,
+            down_m_s=s.down_m_s,
+            roll_rad=s.roll_rad,
+            pitch_rad=s.pitch_rad,
+            yaw_rad=s.yaw_rad + turned * s.yaw_rate_rad_s,
+            yaw_rate_rad_s=s.yaw_rate_rad_s,
+        )
+
+
+class SceneCamera:
+    """A camera that flies through a drawn world.
+
+    A picture shows the world at its own time `t_s` and is yielded `latency_s` later.  Rounds without a picture (a
+    slow or a late camera, a dropped frame) yield None, so that the loop runs at least ROUNDS_PER_S.
+    """
+
+    def __init__(
+        self, world: World, flight: Flight, settings: CameraSettings, duration_s: float = math.inf, seed: int = 0
+    ) -> None:
+        self.world, self.flight, self.settings, self.duration_s = world, flight, settings, duration_s
+        self.lens = Lens(settings.intrinsics)
+        self.scene = Scene(world, self.lens.ideal)
+        self._sensor = Sensor(settings.optics, world.sun.light, seed)
+        self._seed = seed
+        self._truths: dict[int, Truth] = {}
+        self._begin: Motion | None = None
+
+    def first(self) -> tuple[Frame, Box]:
+        """The picture at the start and the target's box in it, to begin tracking with.
+
+        Raises ValueError when the target is not there.
+        """
+        motion = self._start()
+        image, seen = self._draw(motion, 0.0, 0)
+        if seen[0].box is None or seen[0].visible <= 0.0:
+            raise ValueError("the target is not in the first picture")
+        return Frame(image, motion.t_s, 0), seen[0].box
+
+    def truth(self, index: int) -> Truth:
+        """What is true of the picture with that index; raises KeyError when it was never yielded."""
+        return self._truths[index]
+
+    def frames(self) -> Iterator[Frame | None]:
+        """Each round's picture or None, until the scenario is over."""
+        s = self.settings
+        rounds = max(1, math.ceil(ROUNDS_PER_S / s.frames_per_s - 1e-9))
+        round_s = 1.0 / (s.frames_per_s * rounds)
+        motion = self._start()
+        begin_s = motion.t_s
+        waiting: deque[tuple[int, Motion]] = deque()
+        count = 0
+        while motion.t_s - begin_s <= self.duration_s + 1e-9:
+            if count % rounds == 0:
+                waiting.append((count // rounds, motion))
+            ready = waiting and motion.t_s - waiting[0][1].t_s >= s.latency_s - 1e-6
+            yield self._deliver(*waiting.popleft(), begin_s) if ready else None
+            motion = self.flight.advance(round_s)
+            count += 1
+
+    def _start(self) -> Motion:
+        if self._begin is None:
+            self._begin = self.flight.advance(0.0)
+        return self._begin
+
+    def _deliver(self, index: int, motion: Motion, begin_s: float) -> Frame | None:
+        t_s = motion.t_s - begin_s
+        # The first picture never falls out: tracking begins with it.
+        if index > 0 and np.random.default_rng([self._seed, 6, index]).random() < self.settings.drop_share:
+            return None
+        image, seen = self._draw(motion, t_s, index)
+        places = tuple(actor.route.at(t_s) for actor in self.world.actors)
+        self._truths[index] = Truth(index, motion.t_s, motion, places, seen)
+        return Frame(image, motion.t_s, index)
+
+    def _draw(self, motion: Motion, t_s: float, index: int) -> tuple[Image, tuple[Seen, ...]]:
+        view = self._view(motion)
+        image, seen = self.scene.draw(view, t_s)
+        shutter = self.settings.optics.shutter_s
+        before = replace(
+            motion,
+            north_m=motion.north_m - shutter * motion.north_m_s,
+            east_m=motion.east_m - shutter * motion.east_m_s,
+            yaw_rad=motion.yaw_rad - shutter * motion.yaw_rate_rad_s,
+        )
+        image = self.lens.bend(image)
+        image = self._sensor.expose(image, smear(self._view(before), view), t_s, index)
+        return image, tuple(self.lens.bend_box(one) for one in seen)
+
+    def _view(self, m: Motion) -> View:
+        rotation = camera_to_ned(self.settings.down_rad, m.roll_rad, m.pitch_rad, m.yaw_rad)
+        return View(self.lens.ideal, rotation, np.array([m.north_m, m.east_m, m.down_m]))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        return None

@@ -1,0 +1,91 @@
+"""The built-in vehicle behind the Link seam, in lockstep: time passes only when the camera asks for it."""
+
+import math
+from collections import deque
+from types import TracebackType
+
+from typing_extensions import Self
+
+from follow.messages import HOVER, Autopilot, Setpoint, VehicleState
+from sim.dynamics import Motion, Vehicle
+
+MODE = {Autopilot.PX4: "OFFBOARD", Autopilot.ARDUPILOT: "GUIDED"}
+# Measured: when each stops obeying a stream that stopped (docs/vehicle.md).
+PATIENCE_S = {Autopilot.PX4: 1.2, Autopilot.ARDUPILOT: 3.0}
+SINK_M_S = 0.6  # PX4 without a stream and without a remote control: position mode, measured
+TELEMETRY_DELAY_S = 0.03  # attitude at 50 Hz over a serial line: half a period and the way
+
+
+class SimLink:
+    """A Link to a `Vehicle`.  `advance` is the clock; the camera drives it."""
+
+    def __init__(self, vehicle: Vehicle, telemetry_delay_s: float = TELEMETRY_DELAY_S) -> None:
+        self.vehicle = vehicle
+        self.setpoint: Setpoint = HOVER
+        self.sent_t_s: float | None = None
+        self._delay_s = telemetry_delay_s
+        self._told: deque[Motion] = deque([vehicle.motion])
+
+    def advance(self, dt_s: float) -> Motion:
+        """Let time pass and give the true motion at its end."""
+        vehicle = self.vehicle
+        if dt_s > 0.0:
+            vehicle.step(self._obeyed(), dt_s)
+            self._told.append(vehicle.motion)
+        while len(self._told) > 1 and self._told[1].t_s <= vehicle.motion.t_s - self._delay_s + 1e-9:
+            self._told.popleft()
+        return vehicle.motion
+
+    def obeys(self) -> bool:
+        """Whether the stream of setpoints is still believed in."""
+        if self.sent_t_s is None:
+            return True
+        return self.vehicle.motion.t_s - self.sent_t_s < PATIENCE_S[self.vehicle.autopilot]
+
+    def _obeyed(self) -> Setpoint:
+        if self.obeys():
+            return self.setpoint
+        return Setpoint(down_m_s=SINK_M_S) if self.vehicle.autopilot is Autopilot.PX4 else HOVER
+
+    def state(self) -> VehicleState:
+        """The state as telemetry has it, a little old."""
+        m, autopilot = self._told[0], self.vehicle.autopilot
+        px4_lost = autopilot is Autopilot.PX4 and not self.obeys()
+        return VehicleState(
+            t_s=self.vehicle.motion.t_s,
+            attitude_t_s=m.t_s,
+            roll_rad=m.roll_rad,
+            pitch_rad=m.pitch_rad,
+            yaw_rad=m.yaw_rad,
+            yaw_rate_rad_s=m.yaw_rate_rad_s,
+            position_t_s=m.t_s,
+            north_m=m.north_m,
+            east_m=m.east_m,
+            down_m=m.down_m,
+            north_m_s=m.north_m_s,
+            east_m_s=m.east_m_s,
+            down_m_s=m.down_m_s,
+            heartbeat_t_s=math.floor(self.vehicle.motion.t_s),
+            autopilot=autopilot,
+            mode="POSCTL" if px4_lost else MODE[autopilot],
+            commanded_mode=MODE[autopilot],
+            in_control=not px4_lost,
+            armed=True,
+            landed=m.landed,
+        )
+
+    def send(self, setpoint: Setpoint | None) -> None:
+        """Give the vehicle its next setpoint; None sends nothing, and after a while its own failsafe acts."""
+        if setpoint is None:
+            if self.sent_t_s is None:
+                self.sent_t_s = self.vehicle.motion.t_s
+            return
+        self.setpoint, self.sent_t_s = setpoint, self.vehicle.motion.t_s
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.send(HOVER)

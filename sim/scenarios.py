@@ -1,0 +1,177 @@
+"""Named flights: a world by seed, a vehicle, a camera, and the limits to fly within."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from follow.link import Link
+from follow.messages import Autopilot
+from sim.camera import CameraSettings, LiveFlight, SceneCamera
+from sim.dynamics import ANSWERS, CALM, GRAVITY_M_S2, Motion, Vehicle, Wind
+from sim.link import SimLink
+from sim.optics import Optics
+from sim.stages import car_road, footpath, look_alike, stops, trees_between, turn_back, wall_between
+from sim.world import Kind, World
+
+Stage = Callable[[np.random.Generator, Kind, float], World]
+
+MIDDLE_M = {Kind.WALKER: 0.9, Kind.RUNNER: 0.9, Kind.CYCLIST: 0.9, Kind.CAR: 0.7}  # height of an actor's middle
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """One flight to be flown well.
+
+    `height_m` and `standoff_m` (along the ground) are where it starts and what the servo is to keep; the camera hangs
+    so that the target is in the picture's middle row there at `cruise_m_s`.  `limits` are the fields of the gate's
+    limits that this flight needs to differ, `size_m` is about the target's sqrt(width x height).
+    """
+
+    name: str
+    about: str
+    kind: Kind
+    stage: Stage
+    duration_s: float = 30.0
+    height_m: float = 6.0
+    standoff_m: float = 9.0
+    cruise_m_s: float = 1.4
+    rolling_start: bool = False  # the vehicle already flies at the target's speed
+    size_m: float = 1.0
+    limits: dict[str, float] = field(default_factory=dict)
+    frames_per_s: float = 30.0
+    latency_s: float = 0.0
+    drop_share: float = 0.0
+    wind: Wind = CALM
+    optics: Optics = field(default_factory=Optics)
+    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    fov_rad: float = math.radians(80.0)
+    light: float = 1.0
+
+    def world(self, seed: int) -> World:
+        """The world of that seed."""
+        world = self.stage(np.random.default_rng([seed, 0]), self.kind, self.duration_s)
+        return replace(world, sun=replace(world.sun, light=self.light), seed=seed)
+
+    def down_rad(self, autopilot: Autopilot) -> float:
+        """How far the camera looks below the nose: to the target, less the lean that the cruise needs."""
+        lean = math.atan(ANSWERS[autopilot].horizontal.drag_per_s * self.cruise_m_s / GRAVITY_M_S2)
+        return math.atan2(self.height_m - MIDDLE_M[self.kind], self.standoff_m) - lean
+
+    def start(self, world: World, seed: int) -> Motion:
+        """Behind the target, looking at it but for a few degrees."""
+        random = np.random.default_rng([seed, 7])
+        place = world.target(0.0)
+        c, s = math.cos(place.heading_rad), math.sin(place.heading_rad)
+        speed = self.cruise_m_s if self.rolling_start else 0.0
+        return Motion(
+            north_m=place.north_m - self.standoff_m * c,
+            east_m=place.east_m - self.standoff_m * s,
+            down_m=-self.height_m,
+            north_m_s=speed * c,
+            east_m_s=speed * s,
+            yaw_rad=math.remainder(place.heading_rad + random.uniform(-0.08, 0.08), math.tau),
+        )
+
+    def camera_settings(self, autopilot: Autopilot) -> CameraSettings:
+        """The camera of this flight."""
+        base = CameraSettings()
+        lens = base.intrinsics.from_fov(base.intrinsics.width, base.intrinsics.height, self.fov_rad)
+        return CameraSettings(
+            replace(lens, distortion=self.distortion),
+            self.down_rad(autopilot),
+            self.frames_per_s,
+            self.latency_s,
+            self.drop_share,
+            self.optics,
+        )
+
+
+def build(scenario: Scenario, seed: int, autopilot: Autopilot) -> tuple[SceneCamera, SimLink, World]:
+    """The flight in lockstep: the camera's rounds drive the vehicle's time."""
+    world = scenario.world(seed)
+    vehicle = Vehicle(autopilot, scenario.start(world, seed), scenario.wind, seed)
+    link = SimLink(vehicle)
+    camera = SceneCamera(world, link, scenario.camera_settings(autopilot), scenario.duration_s, seed)
+    return camera, link, world
+
+
+def build_live(scenario: Scenario, seed: int, autopilot: Autopilot, link: Link) -> tuple[SceneCamera, World]:
+    """The same scene for a vehicle that flies in real time behind any link."""
+    world = scenario.world(seed)
+    flight = LiveFlight(link, scenario.start(world, seed))
+    return SceneCamera(world, flight, scenario.camera_settings(autopilot), seed=seed), world
+
+
+WALK = Scenario("walker", "a walker on a winding path", Kind.WALKER, footpath)
+RUN = replace(
+    WALK,
+    name="runner",
+    about="a runner on a winding path",
+    kind=Kind.RUNNER,
+    cruise_m_s=4.0,
+    height_m=7.0,
+    standoff_m=10.0,
+    limits={"speed_m_s": 7.0},
+)
+RIDE = replace(
+    WALK,
+    name="cyclist",
+    about="a cyclist on a winding path",
+    kind=Kind.CYCLIST,
+    cruise_m_s=8.0,
+    rolling_start=True,
+    height_m=8.0,
+    standoff_m=12.0,
+    size_m=0.9,
+    limits={"speed_m_s": 12.0, "fence_m": 600.0},
+)
+DRIVE = replace(
+    WALK,
+    name="car",
+    about="a car on a road with bends",
+    kind=Kind.CAR,
+    stage=car_road,
+    cruise_m_s=15.0,
+    rolling_start=True,
+    height_m=15.0,
+    standoff_m=22.0,
+    size_m=2.5,
+    fov_rad=math.radians(90.0),
+    limits={"speed_m_s": 20.0, "fence_m": 900.0, "accel_m_s2": 4.0},
+)
+DUSK = Optics(shutter_s=1 / 40, noise=9.0, swing=0.12, jpeg_quality=70)
+
+_ALL = (
+    WALK,
+    RUN,
+    RIDE,
+    DRIVE,
+    replace(WALK, name="walker-stops", about="a walker who stands still now and then", stage=stops),
+    replace(RUN, name="runner-uturn", about="a runner who turns back toward the drone", stage=turn_back),
+    replace(RIDE, name="cyclist-uturn", about="a cyclist who turns back", stage=turn_back, limits={**RIDE.limits}),
+    replace(WALK, name="wall", about="a walker goes behind a wall for 3 s", stage=wall_between),
+    replace(WALK, name="trees", about="a walker goes behind trees for 3 s", stage=trees_between),
+    replace(WALK, name="look-alike", about="someone dressed the same crosses close by", stage=look_alike),
+    replace(RUN, name="wind", about="a runner in 7 m/s of wind with gusts", wind=Wind(7.0, 1.2, gust_m_s=1.5)),
+    *(
+        replace(base, name=f"{base.name}-latency-{ms}", about=f"{base.about}, {ms} ms late", latency_s=ms / 1000)
+        for base in (WALK, RIDE)
+        for ms in (100, 200, 400)
+    ),
+    *(
+        replace(base, name=f"{base.name}-{fps}fps", about=f"{base.about}, {fps} pictures a second", frames_per_s=fps)
+        for base, fps in ((WALK, 10), (WALK, 20), (RUN, 60))
+    ),
+    replace(WALK, name="dusk", about="a walker in low light: blur, noise, compression", light=0.45, optics=DUSK),
+    replace(RUN, name="drops", about="a runner, every fifth picture is lost", drop_share=0.2),
+    replace(
+        WALK,
+        name="lens",
+        about="a walker through a wide, distorting lens",
+        fov_rad=math.radians(90.0),
+        distortion=(-0.18, 0.03, 0.0, 0.0, 0.0),
+    ),
+)
+SCENARIOS: dict[str, Scenario] = {scenario.name: scenario for scenario in _ALL}
