@@ -1,0 +1,32 @@
+"""A tracker that starts by itself on the first picture it is shown."""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from racf.box import Box
+from racf.track import Track
+
+Image = NDArray[np.uint8]
+
+
+class Acquire:
+    """Starts a tracker on `box` in the first picture, then lets it track: the loop only ever calls `update`.
+
+    `init` learns the target in the box, `track` finds it again, around the prior if it likes.
+    """
+
+    def __init__(
+        self, init: Callable[[Image, Box], Track], track: Callable[[Image, Box | None], Track], box: Box
+    ) -> None:
+        self._init, self._track = init, track
+        self._box: Box | None = box
+
+    def update(self, image: Image, prior: Box | None = None) -> Track:
+        """The track of this picture.  Raises ValueError when the box does not fit the first picture."""
+        if self._box is None:
+            return self._track(image, prior)
+        track = self._init(image, self._box)
+        self._box = None
+        return track

@@ -1,0 +1,44 @@
+"""One frozen tree of settings; each part owns its own branch and says why its numbers are what they are."""
+
+import math
+from dataclasses import dataclass, field
+
+from follow.geometry import Intrinsics
+from follow.record import RecordConfig
+from follow.safety import Limits
+from follow.servo import ServoConfig
+from follow.target import TargetConfig
+
+
+@dataclass(frozen=True, slots=True)
+class CameraConfig:
+    """How the camera sees and is mounted.  Raises ValueError for an angle that no camera has."""
+
+    fov_deg: float = 70.0  # horizontal; common FPV and action cameras, undistorted, lie between 60 and 90
+    down_deg: float = 30.0  # optical axis below the nose: 10 m up, the middle of the picture is 17 m ahead
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.fov_deg <= 170:
+            raise ValueError(f"a pinhole's horizontal field of view lies in 1..170 degrees, not {self.fov_deg:g}")
+        if not -90 <= self.down_deg <= 90:
+            raise ValueError(f"a camera looks -90..90 degrees below the nose, not {self.down_deg:g}")
+
+    @property
+    def down_rad(self) -> float:
+        """The mounting angle in radians."""
+        return math.radians(self.down_deg)
+
+    def intrinsics(self, width: int, height: int) -> Intrinsics:
+        """The pinhole for pictures of this size."""
+        return Intrinsics.from_fov(width, height, math.radians(self.fov_deg))
+
+
+@dataclass(frozen=True, slots=True)
+class Config:
+    """Every setting of a flight."""
+
+    camera: CameraConfig = field(default_factory=CameraConfig)
+    target: TargetConfig = field(default_factory=TargetConfig)
+    servo: ServoConfig = field(default_factory=ServoConfig)
+    limits: Limits = field(default_factory=Limits)
+    record: RecordConfig = field(default_factory=RecordConfig)

@@ -1,0 +1,134 @@
+"""Cameras that read files: nothing that is missing or broken loses what is there, and each trouble is one line."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from follow.camera import CameraError
+from follow.messages import Frame
+from follow.video import is_live, open_replay
+
+
+def picture(n: int, size=(48, 32)) -> np.ndarray:
+    """A picture that says its number: grey level 4 n."""
+    return np.full((size[1], size[0], 3), 4 * n, np.uint8)
+
+
+def folder_of(tmp_path: Path, numbers, name="{:03d}.png") -> Path:
+    for n in numbers:
+        cv2.imwrite(str(tmp_path / name.format(n)), picture(n))
+    return tmp_path
+
+
+def video_of(path: Path, count: int) -> Path:
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 30, (48, 32))
+    for n in range(count):
+        writer.write(picture(n))
+    writer.release()
+    return path
+
+
+def play(source, fps=None) -> tuple[list[Frame | None], list[str]]:
+    lines: list[str] = []
+    with open_replay(str(source), fps, lines.append) as camera:
+        return list(camera.frames()), lines
+
+
+def test_a_folder_is_played_in_the_order_of_its_numbers(tmp_path):
+    frames, lines = play(folder_of(tmp_path, (1, 2, 3, 10, 11), name="{}.png"), fps=10)
+    assert [f.image[0, 0, 0] // 4 for f in frames if f] == [1, 2, 3, 10, 11]
+    assert frames[9] is not None
+    assert frames[9].t_s == pytest.approx(0.9)
+    assert len(lines) == 1
+
+
+def test_a_hole_in_the_numbers_is_rounds_without_a_picture_and_one_line(tmp_path):
+    frames, lines = play(folder_of(tmp_path, (1, 2, 3, 6, 7)))
+    assert [f is None for f in frames] == [False, False, False, True, True, False, False]
+    assert lines == ["2 pictures are missing before 006.png: played as a pause"]
+    assert [f.index for f in frames if f] == [0, 1, 2, 5, 6]
+
+
+def test_numbers_that_do_not_count_pictures_are_only_an_order(tmp_path):
+    frames, lines = play(folder_of(tmp_path, (0, 33, 66, 30), name="100000{:03d}.png"))
+    assert len(frames) == 4
+    assert not lines
+
+
+def test_an_image_that_cannot_be_decoded_is_skipped_with_one_line(tmp_path):
+    folder_of(tmp_path, range(4))
+    (tmp_path / "002.png").write_bytes(b"no picture")
+    frames, lines = play(tmp_path)
+    assert [f is None for f in frames] == [False, False, True, False]
+    assert lines == ["002.png cannot be decoded: skipped"]
+
+
+def test_an_image_of_another_size_is_skipped_with_one_line(tmp_path):
+    folder_of(tmp_path, range(3))
+    cv2.imwrite(str(tmp_path / "001.png"), picture(1, (20, 20)))
+    frames, lines = play(tmp_path)
+    assert [f is None for f in frames] == [False, True, False]
+    assert lines == ["001.png is 20x20, not 48x32 like the first picture: skipped"]
+
+
+def test_every_picture_of_a_video_comes_in_its_own_round(tmp_path):
+    frames, lines = play(video_of(tmp_path / "clip.mp4", 30))
+    assert [f.index for f in frames if f] == list(range(30))
+    assert [f.t_s for f in frames if f] == pytest.approx(np.arange(30) / 30)
+    assert not lines
+
+
+def test_a_corrupt_middle_of_a_video_costs_only_those_pictures(tmp_path):
+    path = tmp_path / "clip.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 30, (160, 120))
+    rng = np.random.default_rng(0)
+    for _ in range(40):
+        writer.write(rng.integers(0, 256, (120, 160, 3), dtype=np.uint8))
+    writer.release()
+    data = bytearray(path.read_bytes())
+    middle = len(data) // 2
+    data[middle : middle + len(data) // 20] = bytes(len(data) // 20)
+    path.write_bytes(data)
+    frames, lines = play(path)
+    seen = [f.index for f in frames if f]
+    assert len(seen) >= 36
+    assert seen == sorted(set(seen))
+    assert len(lines) <= 1
+
+
+def test_a_video_that_ends_early_says_so_in_one_line(tmp_path):
+    path = tmp_path / "clip.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 30, (160, 120))
+    for n in range(40):
+        writer.write(np.full((120, 160, 3), 5 * n, np.uint8))
+    writer.release()
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) // 2])
+    frames, lines = play(path)
+    assert 10 < len(frames) < 40
+    assert len(lines) == 1
+    assert "of 40 pictures" in lines[0]
+
+
+@pytest.mark.parametrize("make", [lambda p: p / "nothing", lambda p: p, lambda p: p / "text.mp4"])
+def test_what_cannot_be_opened_is_refused_in_one_sentence(tmp_path, make):
+    (tmp_path / "text.mp4").write_text("no video")
+    source = make(tmp_path)
+    with pytest.raises(CameraError) as refusal:
+        open_replay(str(source), None, print)
+    assert str(source) in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("fps", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_rate_that_is_no_rate_is_refused(tmp_path, fps):
+    folder_of(tmp_path, range(2))
+    with pytest.raises(CameraError, match="per second"):
+        open_replay(str(tmp_path), fps, print)
+
+
+def test_devices_and_streams_are_live_and_files_are_not():
+    assert all(map(is_live, ("0", "/dev/video2", "rtsp://drone/1", "udp://:5600")))
+    assert not any(map(is_live, ("clip.mp4", "pictures", "./0")))
