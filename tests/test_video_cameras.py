@@ -12,8 +12,8 @@ from follow.video import is_live, open_replay
 
 
 def picture(n: int, size=(48, 32)) -> np.ndarray:
-    """A picture that says its number: grey level 4 n."""
-    return np.full((size[1], size[0], 3), 4 * n, np.uint8)
+    """A picture that says its number: grey level 4 n (mod 256)."""
+    return np.full((size[1], size[0], 3), 4 * n % 256, np.uint8)
 
 
 def folder_of(tmp_path: Path, numbers, name="{:03d}.png") -> Path:
