@@ -171,12 +171,15 @@ class MavlinkClient:
 
         In any other mode somebody else flies, and is left alone.
         """
-        obeys = self._in_control or (self._is_asking_control() and self._ask is not None and self._ask.times > 0)
+        asked = self._ask
+        if asked is not None and asked.mode == self._names().hold:
+            return True
+        may_obey = self._in_control or (asked is not None and asked.times > 0)
         self._in_control = False
         self._ask = None
-        if obeys:
+        if may_obey:
             self._begin(self._names().hold)
-        return obeys
+        return may_obey
 
     def is_asking(self) -> bool:
         """Whether a mode asked for is still awaited."""
@@ -221,9 +224,6 @@ class MavlinkClient:
     def _begin(self, mode: str) -> None:
         self._commanded_mode = mode
         self._ask = _Ask(mode, from_mode=self._vehicle.state.mode)
-
-    def _is_asking_control(self) -> bool:
-        return self._ask is not None and self._ask.mode == self._names().control
 
     def _pursue(self, ask: _Ask, t_s: float) -> None:
         """Send the request when it may be sent; drop it when it was answered in vain or the vehicle moved on."""

@@ -1,4 +1,4 @@
-"""A vehicle over UDP, TCP or a serial line: `follow.mavlink` with a wire and a clock.
+"""A vehicle over UDP, TCP, a serial line or MAVSDK: `follow.mavlink` with a wire and a clock.
 
 One thread only reads, so that a byte's time of arrival is true while the loop computes.  Everything is judged and
 sent in the caller's thread: when that hangs, the stream of setpoints stops and the autopilot's failsafe acts.
@@ -26,7 +26,7 @@ READ_S = 0.05  # how long the reading thread waits at most before it looks wheth
 HOLD_S = 2.0  # PX4 tells a new mode up to 1 s late; twice that
 
 
-class PymavlinkLink:
+class MavlinkLink:
     """A Link over a wire.  Its clock is the machine's monotonic one."""
 
     def __init__(
@@ -155,6 +155,15 @@ def connect(
     rates: TelemetryRates | None = None,
     signing: Signing | None = None,
     tlog: Tlog | None = None,
-) -> PymavlinkLink:
-    """A link over `udpin:`, `udpout:`, `tcp:` or `serial:`; raises LinkError when it cannot be opened."""
-    return PymavlinkLink(open_wire(uri), system_id, rates, signing, tlog)
+) -> MavlinkLink:
+    """A link over `udpin:`, `udpout:`, `tcp:` or `serial:`, or with `mavsdk+` before MAVSDK's own `udpin://...`.
+
+    Raises LinkError when it cannot be opened.
+    """
+    if uri.startswith("mavsdk+"):
+        if signing is not None:
+            raise LinkError("MAVSDK cannot sign here: use the link without `mavsdk+`, or no key")
+        from follow.mavsdk_wire import open_mavsdk  # noqa: PLC0415 (a large library that other links do without)
+
+        return MavlinkLink(open_mavsdk(uri, system_id), system_id, rates, signing, tlog)
+    return MavlinkLink(open_wire(uri), system_id, rates, signing, tlog)

@@ -12,6 +12,7 @@ import select
 import socket
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -108,10 +109,10 @@ def build(options: Options) -> AutopilotSystem:
     return system
 
 
-def run(system: AutopilotSystem, ports: list[UdpPort], speedup: float = 1.0, seconds: float = 0.0) -> None:
-    """Serve the ports until `seconds` of simulated time are over (0: for ever)."""
+def run(system: AutopilotSystem, ports: list[UdpPort], is_over: Callable[[], bool], speedup: float = 1.0) -> None:
+    """Serve the ports until `is_over` says so."""
     began = time.monotonic()
-    while not seconds or system.t_s < seconds:
+    while not is_over():
         ready, _, _ = select.select([port.socket for port in ports], [], [], STEP_S)
         system.step((time.monotonic() - began) * speedup)
         for link, port in enumerate(ports):
@@ -132,7 +133,7 @@ def main() -> None:
     except (ValueError, OSError) as error:
         sys.exit(f"sim.autopilot: {error}")
     with contextlib.suppress(KeyboardInterrupt):
-        run(system, ports, options.speedup, options.seconds)
+        run(system, ports, lambda: 0.0 < options.seconds <= system.t_s, options.speedup)
     for port in ports:
         port.close()
 

@@ -1,0 +1,174 @@
+"""The same rules for every Link.  To add one, write a builder and name it in LINKS.
+
+A builder is a context manager that opens the link to a vehicle hovering at 10 m and gives a Rig.  On leaving it closes
+the link first and everything behind it then.
+"""
+
+import contextlib
+import math
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import pytest
+from autopilot_pair import CONTROL, HOLD, STEP_S, Pair
+
+from follow.link import Link
+from follow.messages import HOVER, Autopilot, Setpoint, VehicleState
+from follow.pymavlink_link import connect
+from sim.autopilot import UdpPort, run
+from sim.autopilot_system import AutopilotSystem
+from sim.dynamics import Motion, Vehicle
+
+
+@dataclass
+class Rig:
+    """A link under test.  `pass_time` lets the vehicle live; `mode` is its true mode, asked behind the link's back."""
+
+    link: Link
+    pass_time: Callable[[float], None]
+    mode: Callable[[], str]
+    take_control: Callable[[], None]
+
+    def stream(self, seconds: float, setpoint: Setpoint | None) -> VehicleState:
+        state = self.link.state()
+        end_s = state.t_s + seconds
+        while state.t_s < end_s:
+            self.link.send(setpoint)
+            self.pass_time(0.03)
+            state = self.link.state()
+        return state
+
+
+class MemoryLink:
+    """A Link over the client and the autopilot wired in memory, on the pair's own clock."""
+
+    def __init__(self, pair: Pair):
+        self.pair = pair
+
+    def state(self) -> VehicleState:
+        return self.pair.state
+
+    def send(self, setpoint: Setpoint | None) -> None:
+        self.pair.client.send_setpoint(setpoint, self.pair.t_s)
+        self.pair.setpoint = setpoint
+
+    def __enter__(self) -> "MemoryLink":
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        self.pair.setpoint = None
+        self.pair.client.hold()
+        self.pair.run(0.5)
+
+
+@contextlib.contextmanager
+def in_memory(autopilot: Autopilot) -> Iterator[Rig]:
+    pair = Pair(autopilot)
+    pair.run(2.0)
+    with MemoryLink(pair) as link:
+        yield Rig(link, lambda _s: pair.run(STEP_S), lambda: pair.system.flight.mode, pair.client.take_control)
+
+
+@contextlib.contextmanager
+def served(autopilot: Autopilot, uri: Callable[[int], str]) -> Iterator[Rig]:
+    """A link over UDP; `uri` makes its address from the port where the autopilot waits."""
+    system = AutopilotSystem(autopilot, Vehicle(autopilot, Motion(down_m=-10.0)))
+    port = UdpPort("udpin:127.0.0.1:0")
+    ended = threading.Event()
+    server = threading.Thread(target=run, args=(system, [port], ended.is_set))
+    server.start()
+    try:
+        with connect(uri(port.socket.getsockname()[1])) as link:
+            link.wait_for_vehicle(10.0)
+            yield Rig(link, time.sleep, lambda: system.flight.mode, link.take_control)
+    finally:
+        ended.set()
+        server.join()
+        port.close()
+
+
+def over_udp(autopilot: Autopilot):
+    return served(autopilot, lambda port: f"udpout:127.0.0.1:{port}")
+
+
+def over_mavsdk(autopilot: Autopilot):
+    return served(autopilot, lambda port: f"mavsdk+udpout://127.0.0.1:{port}")
+
+
+LINKS = {"memory": in_memory, "udp": over_udp, "mavsdk": over_mavsdk}
+BOTH = pytest.mark.parametrize("autopilot", list(Autopilot))
+
+
+@pytest.fixture(params=list(LINKS))
+def opened(request):
+    return LINKS[request.param]
+
+
+def test_a_link_tells_finite_states_whose_time_never_runs_back_and_takes_finite_setpoints(opened):
+    with opened(Autopilot.ARDUPILOT) as rig:
+        before = rig.link.state()
+        for _ in range(20):
+            rig.pass_time(0.02)
+            began_s = time.perf_counter()
+            state = rig.link.state()
+            assert time.perf_counter() - began_s < 0.1
+            assert state.t_s >= before.t_s
+            before = state
+        numbers = (getattr(state, name) for name in VehicleState.__slots__)
+        assert all(math.isfinite(value) for value in numbers if isinstance(value, float))
+        assert state.t_s - state.attitude_t_s < 0.5
+        assert state.down_m == pytest.approx(-10.0, abs=0.2)
+        assert state.armed
+        assert not state.landed
+        with pytest.raises(ValueError, match="finite"):
+            rig.link.send(Setpoint(down_m_s=math.nan))
+
+
+@BOTH
+def test_a_flight_over_a_link_is_obeyed_and_ends_in_hover(opened, autopilot):
+    with opened(autopilot) as rig:
+        before = rig.mode()
+        rig.stream(0.3, HOVER)
+        assert rig.mode() == before  # never unasked
+        rig.take_control()
+        state = rig.stream(2.6, HOVER)
+        assert rig.mode() == CONTROL[autopilot]
+        assert state.in_control
+        assert state.mode == state.commanded_mode == CONTROL[autopilot]
+        state = rig.stream(1.5, Setpoint(forward_m_s=1.0))
+        assert state.body_velocity_m_s()[0] > 0.5
+    assert rig.mode() == HOLD[autopilot]
+
+
+def test_a_vehicle_that_is_not_ours_is_left_alone(opened):
+    with opened(Autopilot.PX4) as rig:
+        before = rig.mode()
+        rig.stream(0.2, None)
+    assert rig.mode() == before
+
+
+def test_an_exception_in_flight_still_ends_in_hover():
+    with contextlib.suppress(ZeroDivisionError), over_udp(Autopilot.ARDUPILOT) as rig:
+        rig.take_control()
+        rig.stream(1.0, HOVER)
+        assert rig.mode() == "GUIDED"
+        _ = 1 / 0
+    assert rig.mode() == "BRAKE"
+
+
+@pytest.mark.parametrize("uri", ["udpin:14540", "carrier-pigeon:1:2", "tcp:host:port", "serial:/dev/null", ""])
+def test_a_link_written_wrongly_is_named(uri):
+    with pytest.raises(RuntimeError, match="a link is"):
+        connect(uri)
+
+
+def test_a_device_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(RuntimeError, match="cannot be opened"):
+        connect(f"serial:{tmp_path / 'ttyNONE'}:57600")
+
+
+def test_without_a_vehicle_the_wait_ends_and_names_what_is_missing():
+    with connect("udpin:127.0.0.1:0") as link, pytest.raises(RuntimeError, match="no heartbeat"):
+        link.wait_for_vehicle(0.1)
