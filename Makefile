@@ -1,10 +1,12 @@
 # CI calls these words and no others; so does a contributor.
 PYTHON ?= python3
 VENV   ?= .venv
+BENCH  ?= .venv-bench
+SOURCE ?= $(wildcard $(or $(RACF_DATA),../shared/data))
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: setup check test bench faults demo lock format clean
+.PHONY: setup check test test-extras bench faults demo lock format clean
 
 setup: $(STAMP)
 
@@ -24,6 +26,24 @@ check: setup
 test: setup
 	$(BIN)/python -m pytest -n 2
 
+# A second environment: CSRT and KCF come with OpenCV's contrib wheel, which cannot live beside the plain one.
+$(BENCH)/.installed: pyproject.toml requirements.lock
+	$(PYTHON) -m venv $(BENCH)
+	$(BENCH)/bin/python -m pip install --quiet $$(grep -oE '^uv==[^ ]+' requirements.lock)
+	sed '/^opencv-python-headless==/,/[^\\]$$/d' requirements.lock > $(BENCH)/requirements.txt
+	$(BENCH)/bin/uv pip install --quiet --python $(BENCH)/bin/python --require-hashes -r $(BENCH)/requirements.txt
+	$(BENCH)/bin/uv pip install --quiet --python $(BENCH)/bin/python 'distributed>=2025.1' \
+		$$(grep -oE '^opencv-python-headless==[^ ]+' requirements.lock | sed 's/python/contrib-python/')
+	$(BENCH)/bin/uv pip install --quiet --python $(BENCH)/bin/python --no-deps --no-build-isolation -e .
+	touch $@
+
+bench: $(BENCH)/.installed
+	$(BENCH)/bin/racf bench $(SOURCE)
+
+# What needs the extras: the Dask cluster, OpenCV's own trackers.
+test-extras: $(BENCH)/.installed
+	$(BENCH)/bin/python -m pytest tests/test_evaluate_runner.py tests/test_evaluate_speed.py tests/test_evaluate_peers.py
+
 format: setup
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
@@ -33,4 +53,4 @@ lock: setup
 		--generate-hashes --no-emit-index-url --no-annotate --custom-compile-command "make lock" -o requirements.lock
 
 clean:
-	rm -rf $(VENV) build dist out
+	rm -rf $(VENV) $(BENCH) build dist out

@@ -16,7 +16,7 @@ from rich.table import Table as ScreenTable
 
 from racf.box import Box
 from racf.commandline import UsageError, run
-from racf.evaluate import plots, progress
+from racf.evaluate import plots, progress, speed
 from racf.evaluate.benchmarks import BENCHMARKS, Sequence, is_known, read_benchmark
 from racf.evaluate.boxfiles import write_boxes
 from racf.evaluate.metrics import Boxes
@@ -74,7 +74,29 @@ class Eval:
     """Run on the Dask cluster with this scheduler address instead (needs the extra `dask`)."""
 
 
-Command = Annotated[Track, tyro.conf.subcommand("track")] | Annotated[Eval, tyro.conf.subcommand("eval")]
+@dataclass(frozen=True, slots=True)
+class Bench:
+    """Frames per second of every variant and of OpenCV's trackers, stage by stage, on one core."""
+
+    source: tyro.conf.Positional[Path | None] = None
+    """Folder of sequences (as for `eval --benchmark folder`); rendered pictures if not given."""
+    tracker: Many = ()
+    """What to measure beside OpenCV's trackers (all variants and baselines, and racf,robust, if none is named)."""
+    only: Many = ()
+    """Only the sequences that match this pattern, by name or benchmark/name."""
+    frames: int = 100
+    """At most so many frames of each sequence."""
+    first_call: bool = True
+    """Also time a fresh process with a cold and a warm cache (compiles everything once: half a minute)."""
+    json: bool = False
+    """Print the figures as JSON on standard output, and nothing else there."""
+
+
+Command = (
+    Annotated[Track, tyro.conf.subcommand("track")]
+    | Annotated[Eval, tyro.conf.subcommand("eval")]
+    | Annotated[Bench, tyro.conf.subcommand("bench")]
+)
 
 
 def main() -> None:
@@ -83,12 +105,14 @@ def main() -> None:
     sys.exit(run(Command, execute, prog="racf", description=description, config=(tyro.conf.FlagCreatePairsOff,)))
 
 
-def execute(command: Track | Eval) -> None:
+def execute(command: Track | Eval | Bench) -> None:
     """Do what was asked."""
     if isinstance(command, Track):
         track(command)
-    else:
+    elif isinstance(command, Eval):
         evaluate(command)
+    else:
+        bench(command)
 
 
 def track(command: Track) -> None:
@@ -114,18 +138,43 @@ def evaluate(command: Eval) -> None:
     specs = _specs(names, command.set)
     if command.jitter < 0 or command.jobs < 0:
         raise UsageError(f"--jitter and --jobs are not negative: {command.jitter}, {command.jobs}")
-    sequences = _sequences(command)
+    sequences = _sequences(command.root, command.benchmark, command.only)
     stored = _stored(command.imports, sequences, {spec.label for spec in specs})
     runs = _run(command, specs, sequences)
-    published = command.root / "results"
-    reference = [n for t in trackers_in(published, sequences) for n in stored_boxes(published, t, sequences)]
-    report = build_report(sequences, runs, stored, reference)
+    report = build_report(sequences, runs, stored, _published(command.root, sequences))
     if command.out is not None:
         _write(report, command.out)
     if command.json:
         print(json.dumps(report.as_json(), indent=1))
     else:
         _show(report.overall())
+
+
+def bench(command: Bench) -> None:
+    """`racf bench`."""
+    specs, others = _specs(command.tracker or speed.OURS, ()), speed.peers()
+    if command.frames < 2:
+        raise UsageError(f"--frames is at least 2, not {command.frames}")
+    if command.source is None:
+        clips = speed.rendered_clips(command.frames)
+    else:
+        sequences = _sequences(command.source, "folder", command.only)
+        published = _published(command.source, sequences)
+        clips = speed.clips_of([s for s in sequences if not published or s.name in published], command.frames)
+    if not others:
+        _say("OpenCV here has neither CSRT nor KCF; `make bench` builds an environment that has")
+    laps: dict[str, dict[str, speed.Lap]] = {}
+    for clip, of in speed.measure_all([*specs, *others], clips):
+        laps[clip.name] = of
+        _say(f"{clip.name}: " + ", ".join(f"{label} {lap.fps:.0f}" for label, lap in of.items()) + " frames/s")
+    figures = speed.summary(laps, [spec.label for spec in others])
+    if command.first_call:
+        figures["first_call"] = speed.first_calls(specs[0])
+    if command.json:
+        print(json.dumps(figures, indent=1))
+    else:
+        for table in speed.tables(figures):
+            _show(table)
 
 
 def _specs(names: tuple[str, ...], settings: tuple[str, ...]) -> list[TrackerSpec]:
@@ -140,16 +189,22 @@ def _specs(names: tuple[str, ...], settings: tuple[str, ...]) -> list[TrackerSpe
     return specs
 
 
-def _sequences(command: Eval) -> list[Sequence]:
-    if not command.root.is_dir():
-        raise UsageError(f"ROOT must be a folder; {command.root} is not")
-    if not is_known(command.benchmark):
-        raise UsageError(f"--benchmark is one of {', '.join(BENCHMARKS)}, not {command.benchmark!r}")
-    sequences = read_benchmark(command.benchmark, command.root)
-    chosen = [s for s in sequences if not command.only or any(_matches(s, pattern) for pattern in command.only)]
+def _sequences(root: Path, benchmark: str, only: tuple[str, ...]) -> list[Sequence]:
+    if not root.is_dir():
+        raise UsageError(f"a folder of sequences is needed; {root} is not a folder")
+    if not is_known(benchmark):
+        raise UsageError(f"--benchmark is one of {', '.join(BENCHMARKS)}, not {benchmark!r}")
+    sequences = read_benchmark(benchmark, root)
+    chosen = [s for s in sequences if not only or any(_matches(s, pattern) for pattern in only)]
     if not chosen:
-        raise UsageError(f"--only {' '.join(command.only)} leaves none of {len(sequences)} sequences")
+        raise UsageError(f"--only {' '.join(only)} leaves none of {len(sequences)} sequences")
     return chosen
+
+
+def _published(root: Path, sequences: list[Sequence]) -> set[str]:
+    """Names of the sequences with a result in ROOT/results, which are those that others' figures are over."""
+    folder = root / "results"
+    return {name for tracker in trackers_in(folder, sequences) for name in stored_boxes(folder, tracker, sequences)}
 
 
 def _matches(sequence: Sequence, pattern: str) -> bool:

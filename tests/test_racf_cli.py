@@ -39,7 +39,7 @@ def test_track_writes_a_box_a_frame_near_the_target(data, tmp_path):
 
 
 def test_eval_prints_only_its_json_with_the_promised_keys(data, capsys):
-    assert racf("eval", data, "--tracker", "racf-", "--jitter", 2, "--json", "--jobs", 1) == 0
+    assert racf("eval", data, "--tracker", "racf-", "--set", "robust", "--jitter", 2, "--json", "--jobs", 1) == 0
     figures = json.loads(capsys.readouterr().out)
     promised = {"precision_20px", "auc", "precision_20px_strict", "auc_strict", "fps"}
     assert promised | {"sequences", "jittered"} <= set(figures["racf-"])
@@ -77,11 +77,6 @@ def test_eval_compares_stored_boxes(data, tmp_path, capsys):
     assert re.search(r"Good +100\.00", capsys.readouterr().out)
 
 
-def test_settings_reach_the_tracker(data, capsys):
-    assert racf("eval", data, "--only", "one", "--tracker", "racf-", "--set", "scales=1", "--set", "robust") == 0
-    assert "racf-" in capsys.readouterr().out
-
-
 WRONG = {
     "a folder that is not there": (("eval", "nowhere"), "nowhere"),
     "a benchmark nobody knows": (("eval", "DATA", "--benchmark", "otb"), "otb"),
@@ -113,3 +108,13 @@ def test_broken_data_ends_in_1_with_one_line_that_names_it(data, capsys):
     err = capsys.readouterr().err
     assert err.count("\n") == 1
     assert "000304.png" in err
+
+
+def test_bench_prints_only_its_json_with_the_promised_keys(data, capsys):
+    assert racf("bench", data, "--only", "one", "--tracker", "racf", "--json", "--no-first-call") == 0
+    figures = json.loads(capsys.readouterr().out)
+    (ours,) = figures["tracker"].values()
+    assert ours["fps"] > 0
+    assert sum(ours["ms"].values()) > 0
+    assert set(ours["times_as_fast_as"]) == set(figures["peers"])
+    assert all(peer["fps"] > 0 for peer in figures["peers"].values())

@@ -9,8 +9,9 @@ import importlib
 import json
 import os
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from multiprocessing import get_context
@@ -33,6 +34,8 @@ from racf.track import Track
 # its change of size (0.8 to 1.2), drawn evenly and separately for both axes.
 JITTER_SHIFT = 0.1
 JITTER_SIZE = 0.1
+
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
 
 
 class Tracker(Protocol):
@@ -110,7 +113,7 @@ def jittered(box: Box, sequence: str, start: int) -> Box:
 def run_task(task: Task) -> Run:
     """Track one sequence; raises ValueError naming a frame that cannot be read."""
     cv2.setNumThreads(1)  # figures are those of one core, and as many tasks may run as there are
-    _warm_up(task.spec)
+    warm_up(task.spec)
     cv2.setRNGSeed(0)  # GrabCut's mixtures begin from random numbers
     tracker, boxes, seconds, stages = task.spec.build(), [task.first_box], 0.0, dict[str, list[float]]()
     tracker.init(read_frame(task.frames[0]), task.first_box)
@@ -132,7 +135,7 @@ def run_task(task: Task) -> Run:
 
 
 @cache
-def _warm_up(spec: TrackerSpec) -> None:
+def warm_up(spec: TrackerSpec) -> None:
     """Compile or load what the tracker compiles, once a process, so that no frame's time holds it."""
     noise = np.random.default_rng(0).integers(0, 256, (120, 160, 3), dtype=np.uint8)
     tracker = spec.build()
@@ -143,12 +146,15 @@ def _warm_up(spec: TrackerSpec) -> None:
 def run_all(
     todo: list[Task],
     *,
-    jobs: int = 1,
+    jobs: int = 0,
     folder: Path | None = None,
     dask: str | None = None,
     done: Callable[[Task, Run, bool], None] = lambda task, run, stored: None,
 ) -> dict[tuple[str, str, int], Run]:
-    """Outcomes by (label, sequence, start).  `done` is called after each, and told whether it was found in `folder`."""
+    """Outcomes by (label, sequence, start), from `jobs` processes (0: from this one) or a Dask cluster.
+
+    `done` is called after each, and told whether it was found in `folder`.
+    """
     runs: dict[tuple[str, str, int], Run] = {}
     left: list[Task] = []
     for task in todo:
@@ -170,18 +176,32 @@ def run_all(
 def _outcomes(todo: list[Task], jobs: int, dask: str | None) -> Iterator[tuple[Task, Run]]:
     if dask is not None:
         yield from _on_dask(todo, dask)
-    elif jobs == 1 or len(todo) <= 1:
+    elif jobs == 0:
         for task in todo:
             yield task, run_task(task)
-    else:
-        # Spawned, not forked: a fork would copy the progress bar's thread and OpenCV's locks in whatever state.
-        with ProcessPoolExecutor(min(jobs, len(todo)), mp_context=get_context("spawn")) as pool:
+    elif todo:
+        with one_threaded_processes(min(jobs, len(todo))) as pool:
             waiting = {pool.submit(run_task, task): task for task in todo}
-            try:
-                for future in as_completed(waiting):
-                    yield waiting[future], future.result()
-            finally:
-                pool.shutdown(wait=True, cancel_futures=True)
+            for future in as_completed(waiting):
+                yield waiting[future], future.result()
+
+
+@contextmanager
+def one_threaded_processes(count: int) -> Generator[ProcessPoolExecutor]:
+    """Processes whose numeric libraries use one thread each: they read that from the environment when they load.
+
+    Otherwise the sums of a matrix product, and so the boxes, could depend on how many cores there are.  Spawned, not
+    forked: a fork would copy the progress bar's thread and OpenCV's locks in whatever state.
+    """
+    before = {name: os.environ.get(name) for name in ONE_THREAD}
+    os.environ.update(ONE_THREAD)
+    pool = ProcessPoolExecutor(count, mp_context=get_context("spawn"))
+    try:
+        yield pool
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+        for name, value in before.items():
+            os.environ.pop(name) if value is None else os.environ.update({name: value})
 
 
 def _on_dask(todo: list[Task], address: str) -> Iterator[tuple[Task, Run]]:

@@ -1,0 +1,227 @@
+"""How fast, on one core: every tracker and its OpenCV peers on the same frames in the same run.
+
+Each picture is handed to all trackers in turn, in an order that rotates, so that whatever else the machine does strikes
+all of them alike; a ratio is taken within a sequence, and the median over the sequences is reported.
+"""
+
+import json
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import median
+from time import perf_counter
+from typing import Any
+
+import cv2
+import numpy as np
+
+from racf.box import Box
+from racf.evaluate.benchmarks import Sequence
+from racf.evaluate.pictures import Picture, read_frame
+from racf.evaluate.report import Table
+from racf.evaluate.runner import ONE_THREAD, one_threaded_processes, warm_up
+from racf.evaluate.trackers import PEERS, TrackerSpec, opencv_has
+
+OURS = ("racf", "racf-", "racf--", "bacf", "arcf-hc", "racf,robust")
+
+# A fresh process tracks two frames and says how long its first update took and how much memory it holds.
+FIRST_CALL = """
+import json, resource, sys, time
+began = time.perf_counter()
+import numpy as np
+import racf
+from racf.box import Box
+tracker_type, preset = racf.Racf, racf.preset
+imported = time.perf_counter()
+def resident_mb():
+    with open("/proc/self/statm") as file:
+        return int(file.read().split()[1]) * resource.getpagesize() / 1e6
+before = resident_mb()
+image = np.random.default_rng(0).integers(0, 256, (720, 1280, 3), dtype=np.uint8)
+tracker = tracker_type(preset(sys.argv[1]).with_settings(json.loads(sys.argv[2])))
+tracker.init(image, Box(600, 300, 60, 40))
+tracker.update(image)
+first = time.perf_counter()
+for _ in range(30):
+    tracker.update(image)
+held = resident_mb() - before - image.nbytes / 1e6
+print(json.dumps({"import_s": imported - began, "first_update_s": first - imported, "memory_mb": held}))
+"""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Clip:
+    """A named row of pictures and the target in the first."""
+
+    name: str
+    target: Box
+    frames: tuple[Path, ...] = ()  # none: rendered ones
+    count: int = 0
+
+    def pictures(self) -> Iterator[Picture]:
+        """The pictures, one at a time."""
+        if self.frames:
+            yield from (read_frame(path) for path in self.frames[: self.count])
+        else:
+            yield from rendered(self.target, self.count)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lap:
+    """Times of one tracker on one clip: milliseconds a frame, and of its stages."""
+
+    frame_ms: list[float]
+    stage_ms: dict[str, list[float]]
+
+    @property
+    def fps(self) -> float:
+        """Frames per second of the tracker's own time."""
+        return 1000 * len(self.frame_ms) / sum(self.frame_ms)
+
+
+def clips_of(sequences: list[Sequence], frames: int) -> list[Clip]:
+    """The first `frames` pictures of each sequence."""
+    for sequence in sequences:
+        sequence.need_frames()
+    return [Clip(s.name, s.first_box(), s.frames, min(frames, len(s.frames))) for s in sequences]
+
+
+def rendered_clips(frames: int) -> list[Clip]:
+    """A small, a middling and a large target in rendered pictures of 1280x720."""
+    return [Clip(f"rendered {w}x{h}", Box(400, 300, w, h), count=frames) for w, h in ((20, 16), (48, 36), (120, 90))]
+
+
+def rendered(target: Box, frames: int) -> Iterator[Picture]:
+    """A textured rectangle that drifts over textured ground; the same pictures each time."""
+    rng = np.random.default_rng(0)
+    ground = cv2.resize(rng.integers(40, 160, (90, 160, 3), dtype=np.uint8), (1280, 720), interpolation=cv2.INTER_CUBIC)
+    w, h = round(target.w), round(target.h)
+    texture = cv2.resize(rng.integers(90, 255, (6, 6, 3), dtype=np.uint8), (w, h), interpolation=cv2.INTER_CUBIC)
+    for step in range(frames):
+        picture = np.array(ground, dtype=np.uint8)
+        x, y = round(target.x + 40 * np.sin(step / 12)), round(target.y + 25 * np.sin(step / 9))
+        picture[y : y + h, x : x + w] = texture
+        yield picture
+
+
+def peers() -> list[TrackerSpec]:
+    """The OpenCV trackers that are there to compare with."""
+    return [TrackerSpec.parse(name) for name in PEERS if opencv_has(name)]
+
+
+def measure_all(specs: list[TrackerSpec], clips: list[Clip]) -> Iterator[tuple[Clip, dict[str, Lap]]]:
+    """Each clip with its laps, from one process of one thread."""
+    with one_threaded_processes(1) as pool:
+        for clip in clips:
+            yield clip, pool.submit(measure, specs, clip).result()
+
+
+def measure(specs: list[TrackerSpec], clip: Clip) -> dict[str, Lap]:
+    """Laps by label, of trackers that see each picture one after the other."""
+    cv2.setNumThreads(1)
+    cv2.setRNGSeed(0)
+    for spec in specs:
+        warm_up(spec)
+    running = [(spec.label, spec.build()) for spec in specs]
+    laps = {spec.label: Lap([], {}) for spec in specs}
+    for index, picture in enumerate(clip.pictures()):
+        if index == 0:
+            for _, tracker in running:
+                tracker.init(picture, clip.target)
+            continue
+        turn = index % len(running)
+        for label, tracker in [*running[turn:], *running[:turn]]:
+            began = perf_counter()
+            track = tracker.update(picture)
+            laps[label].frame_ms.append(1000 * (perf_counter() - began))
+            for stage, ms in track.stage_ms.items():
+                laps[label].stage_ms.setdefault(stage, []).append(ms)
+    return laps
+
+
+def first_calls(spec: TrackerSpec) -> dict[str, dict[str, float]]:
+    """Seconds of import and first update in a fresh process, with a cold and a warm cache, and the memory held."""
+    with tempfile.TemporaryDirectory() as cache:
+        cold, warm = (first_call(spec, {"NUMBA_CACHE_DIR": cache}) for _ in range(2))
+    return {"cold": cold, "warm": warm}
+
+
+def first_call(spec: TrackerSpec, environment: dict[str, str]) -> dict[str, float]:
+    """The same for one fresh process, with this added to its environment."""
+    environment = {**os.environ, **ONE_THREAD, **environment}
+    command = [sys.executable, "-c", FIRST_CALL, spec.name, json.dumps(dict(spec.settings))]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise RuntimeError(f"a fresh process with {spec.label} failed: {done.stderr.strip().splitlines()[-1]}")
+    return {key: round(value, 3) for key, value in json.loads(done.stdout).items()}
+
+
+def summary(laps: dict[str, dict[str, Lap]], peer_labels: list[str]) -> dict[str, Any]:
+    """What `racf bench --json` prints, from laps by clip and label: medians over the clips."""
+    labels = list(next(iter(laps.values())))
+    out: dict[str, Any] = {"tracker": {}, "peers": {}}
+    for label in labels:
+        of = [lap[label] for lap in laps.values()]
+        figures: dict[str, Any] = {"fps": round(median(lap.fps for lap in of), 2)}
+        if label in peer_labels:
+            out["peers"][label] = figures
+            continue
+        stages = list(dict.fromkeys(stage for lap in of for stage in lap.stage_ms))
+        figures["ms"] = {
+            stage: round(median(median(lap.stage_ms.get(stage, [0.0])) for lap in of), 3) for stage in stages
+        }
+        figures["times_as_fast_as"] = {
+            peer: round(median(lap[label].fps / lap[peer].fps for lap in laps.values()), 2) for peer in peer_labels
+        }
+        out["tracker"][label] = figures
+    out["clips"] = {
+        name: {label: {"fps": round(lap.fps, 2), "frames": len(lap.frame_ms) + 1} for label, lap in of.items()}
+        for name, of in laps.items()
+    }
+    out["machine"] = {"cpu": _cpu(), "python": platform.python_version(), "opencv": cv2.__version__, "threads": 1}
+    return out
+
+
+def tables(figures: dict[str, Any]) -> list[Table]:
+    """The same for the screen."""
+    ours, peer_rows = figures["tracker"], figures["peers"]
+    speeds = [
+        (label, f"{of['fps']:.1f}", *(f"{of['times_as_fast_as'][peer]:.2f}" for peer in peer_rows))
+        for label, of in ours.items()
+    ]
+    speeds += [(peer, f"{of['fps']:.1f}", *("" for _ in peer_rows)) for peer, of in peer_rows.items()]
+    stages = list(dict.fromkeys(stage for of in ours.values() for stage in of["ms"]))
+    out = [
+        Table(
+            f"Frames per second, one thread, median of {len(figures['clips'])} sequences ({figures['machine']['cpu']})",
+            ("tracker", "fps", *(f"times {peer}" for peer in peer_rows)),
+            tuple(speeds),
+        ),
+        Table(
+            "Milliseconds by stage, median",
+            ("stage", *ours),
+            tuple((stage, *(f"{of['ms'].get(stage, 0.0):.2f}" for of in ours.values())) for stage in stages),
+        ),
+    ]
+    if "first_call" in figures:
+        rows = tuple(
+            (kind, f"{of['import_s']:.2f}", f"{of['first_update_s']:.2f}", f"{of['memory_mb']:.0f}")
+            for kind, of in figures["first_call"].items()
+        )
+        header = ("cache", "import s", "first update s", "memory beyond imports MB")
+        out.append(Table(f"A fresh process with {next(iter(ours))}", header, rows))
+    return out
+
+
+def _cpu() -> str:
+    cpus = Path("/proc/cpuinfo")
+    if cpus.is_file():
+        for line in cpus.read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.machine()
