@@ -23,9 +23,9 @@ class ServoMode(str, Enum):
     TOP_DOWN = "top-down"  # above it, for a camera that looks steeply down: height and heading stay
 
 
-YAW = Gains(kp=2.0, limit=1.5)  # 1/s: half the bandwidth of both autopilots' yaw (0.08 s dead time, 0.2 s answer)
-CLIMB = Gains(kp=1.2, limit=3.0)  # 1/s, on metres of height; m/s
-APPROACH = Gains(kp=0.45, ki=0.02, limit=6.0)  # 1/s, on metres; velocity answers within 0.7 s; m/s
+YAW = Gains(kp=3.0, limit=1.5)  # 1/s: below the bandwidth of both autopilots' yaw (0.08 s dead time, 0.2 s answer)
+CLIMB = Gains(kp=0.6, limit=3.0)  # 1/s, on metres of height; m/s
+APPROACH = Gains(kp=0.35, ki=0.02, limit=6.0)  # 1/s, on metres; velocity answers within 0.7 s; m/s
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,7 @@ class ServoConfig:
     climb: Gains = CLIMB
     approach: Gains = APPROACH
     feed_forward: float = 1.0  # share of the target's own velocity that is flown with it
-    pitch_filter_s: float = 0.2  # height follows the pitch of steady flight, not each twitch
+    pitch_filter_s: float = 1.0  # height follows the pitch of steady flight, not each twitch
     abeam_per_s: float = 0.3  # profile: how fast the angle off right angles is flown away ...
     abeam_m_s: float = 3.0  # ... and the fastest across the line of sight for it
     course_m_s: float = 0.5  # below this speed a target has no course to be abeam of

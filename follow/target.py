@@ -6,6 +6,7 @@ ground and from the apparent size, each weighted with its own variance.  The tru
 """
 
 import math
+from collections import deque
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -28,13 +29,17 @@ class TargetConfig:
     size_relative_std: float = 0.5  # ... which may as well be a car: the ground's range soon corrects it
     bearing_std_rad: float = 0.02  # 1 degree: attitude error of a small autopilot, plus two pixels of the tracker's
     box_relative_std: float = 0.1  # apparent size: RACF's scale steps are 3 %, aspect changes more
-    accel_std_m_s2: float = 2.5  # a runner's start and turn; a cyclist's turn (2.5 m/s2 sideways)
+    speed_std_m_s: float = 3.0  # of the first guess: a runner
+    accel_std_m_s2: float = (
+        4.0  # a runner's start (2 m/s2), a cyclist's turn (2.5), with margin: lag costs more than noise
+    )
     minimum_height_m: float = 1.0  # below it flat ground says nothing of range
     gate_sigmas: float = 4.0  # a box further off than this is not the target ...
     gate_size: float = 2.0  # ... nor one so many times larger or smaller than expected
     lost_after_s: float = 0.5  # unseen for so long, a box must prove itself ...
     confirm: int = 3  # ... in so many pictures in a row
     coast_s: float = 6.0  # time constant by which an unseen target is thought to slow down
+    wait_s: float = 0.1  # a box waits so long for the attitude of its time; as old as the gate lets attitude be
     compensate: bool = True  # use the pose at the picture's time and predict over the delay
 
 
@@ -124,6 +129,7 @@ class Target:
     box: Box | None = None
     seen_t_s: float = NEVER
     proofs: int = 0
+    waiting: deque[tuple[float, Track]] = field(default_factory=lambda: deque[tuple[float, Track]](maxlen=16))
 
     def predict(self, state: VehicleState, t_s: float) -> Box | None:
         """Where in the picture of `t_s` the target should appear, or None for where it last did."""
@@ -142,9 +148,23 @@ class Target:
     def update(self, track: Track | None, state: VehicleState, t_s: float) -> Estimate:
         """Take in the track of the picture of `t_s` (None: no new picture); the answer is for `state.t_s`."""
         self.motion.add(state)
-        if track is not None and not (track.found and self.accept(track.box, t_s, self.pose(state, t_s))):
-            self.proofs = 0
+        if track is not None:
+            self.waiting.append((t_s, track))
+        while self.waiting and self.readable(self.waiting[0][0], state):
+            t_s, track = self.waiting.popleft()
+            if not (track.found and self.accept(track.box, t_s, self.pose(state, t_s))):
+                self.proofs = 0
         return self.estimate(state)
+
+    def readable(self, t_s: float, state: VehicleState) -> bool:
+        """Whether the attitude at a picture's time is known, or has been waited for long enough.
+
+        Telemetry is some hundredths of a second late.  A tilting vehicle's attitude carried on by guess makes the
+        range swing, and the servo with it; a box that waits costs nothing, for the estimate is carried on instead.
+        """
+        late_s = state.t_s - t_s
+        known = not self.config.compensate or state.attitude_t_s >= t_s
+        return known or not 0 <= late_s < self.config.wait_s or state.attitude_t_s == NEVER
 
     def accept(self, box: Box, t_s: float, pose: Pose) -> bool:
         """Whether the box is where and as large as the target should be; if so it corrects the filter.
@@ -157,8 +177,10 @@ class Target:
             place = self.place(box, pose, c.size_m, size_var)
             wide = np.zeros((4, 4))
             wide[:2, :2] = place.covariance
-            wide[2:, 2:] = np.eye(2) * 3.0**2  # m/s: a runner either way
-            self.filter = Filter(t_s, np.append(place.ground, [0.0, 0.0]), wide, c.size_m, size_var)
+            # Who begins to follow in flight flies along with the target already; else it may run either way.
+            wide[2:, 2:] = np.eye(2) * c.speed_std_m_s**2
+            mean = np.append(place.ground, [pose.north_m_s, pose.east_m_s])
+            self.filter = Filter(t_s, mean, wide, c.size_m, size_var)
         else:
             f = self.carried(t_s)
             place = self.place(box, pose, f.size_m, f.size_var)
