@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 from pymavlink.dialects.v20 import common as dialect
 
+from follow.clock import VehicleClock
 from follow.flight_modes import MODES_OF, ModeNames, mode_params
 from follow.link import LinkError
 from follow.messages import NEVER, Autopilot, Setpoint, VehicleState
@@ -97,6 +98,11 @@ class MavlinkClient:
     def heard(self) -> Heard:
         """What else was heard on the link."""
         return self._vehicle.heard
+
+    @property
+    def clock(self) -> VehicleClock:
+        """How the vehicle's clock relates to ours."""
+        return self._vehicle.clock
 
     def state(self, t_s: float) -> VehicleState:
         """What is known of the vehicle at `t_s`."""

@@ -118,6 +118,13 @@ class MavlinkLink:
                 raise LinkError(f"no {' and no '.join(missing)} came within {timeout_s:g} s")
             time.sleep(0.01)
 
+    def listen(self, seconds: float) -> None:
+        """Keep the conversation going for a while, sending no setpoint."""
+        end_s = time.monotonic() + seconds
+        while time.monotonic() < end_s:
+            self.pump()
+            time.sleep(0.01)
+
     def _read(self) -> None:
         while not self._ending.is_set():
             data, source = self._wire.read(READ_S)
