@@ -2,6 +2,7 @@
 
 import struct
 
+import numpy as np
 import pytest
 from autopilot_pair import Pair
 from pymavlink.dialects.v20 import common as dialect
