@@ -16,14 +16,13 @@ from rich.table import Table as ScreenTable
 
 from racf.box import Box
 from racf.commandline import UsageError, run
-from racf.evaluate import plots, progress, speed
+from racf.evaluate import plots, progress, speed, studies
 from racf.evaluate.benchmarks import BENCHMARKS, Sequence, is_known, read_benchmark
 from racf.evaluate.boxfiles import write_boxes
-from racf.evaluate.metrics import Boxes
 from racf.evaluate.pictures import frames_of
 from racf.evaluate.report import Report, Table, build_report
 from racf.evaluate.runner import Run, run_all, tasks
-from racf.evaluate.stored import stored_boxes, trackers_in
+from racf.evaluate.stored import Stored, read_stored, trackers_in
 from racf.evaluate.trackers import TrackerSpec
 
 WIDTH_IN_A_PIPE = 160  # columns, so that nothing is folded where no terminal says how wide it is
@@ -64,6 +63,14 @@ class Eval:
     """Also start each sequence this many times from a slightly wrong box."""
     set: Many = ()
     """A setting of all trackers that are run, key=value (key alone: true)."""
+    table: int | None = None
+    """Lay the results out as this table of the paper, 2 to 5, and run what it shows unless boxes are imported."""
+    iterations: str = ",".join(map(str, studies.ITERATIONS))
+    """ADMM iterations in tables 3 and 4."""
+    etas: str = ",".join(map(str, studies.ETAS))
+    """Weights of the residue in table 4."""
+    pictures: int = 0
+    """With --out: draw all trackers' boxes on frames of so many sequences, those that tell the trackers apart most."""
     json: bool = False
     """Print the figures as JSON on standard output, and nothing else there."""
     out: Path | None = None
@@ -134,20 +141,46 @@ def track(command: Track) -> None:
 
 def evaluate(command: Eval) -> None:
     """`racf eval`."""
-    names = command.tracker or (() if command.imports else ("racf",))
-    specs = _specs(names, command.set)
-    if command.jitter < 0 or command.jobs < 0:
-        raise UsageError(f"--jitter and --jobs are not negative: {command.jitter}, {command.jobs}")
+    grid = _grid(command)
+    usual = ("racf",) if command.table is None else studies.trackers_of(command.table, grid)
+    specs = _specs(command.tracker or (() if command.imports else usual), command.set)
     sequences = _sequences(command.root, command.benchmark, command.only)
     stored = _stored(command.imports, sequences, {spec.label for spec in specs})
     runs = _run(command, specs, sequences)
     report = build_report(sequences, runs, stored, _published(command.root, sequences))
+    tables = [report.overall()] if command.table is None else [studies.lay_out(command.table, report, grid)]
     if command.out is not None:
-        _write(report, command.out)
+        _write(report, [*tables, *report.by_group(), report.by_sequence()], command.out)
+        if command.table is not None:
+            studies.draw(command.table, report, grid, command.out)
+        if command.pictures:
+            boxes = {label: {name: of[0].boxes for name, of in runs[label].items()} for label in runs}
+            boxes |= {label: left.boxes for label, left in stored.items()}
+            chosen = report.telling_apart(command.pictures)
+            plots.draw_pictures([s for s in sequences if s.name in chosen], boxes, command.out / "pictures")
     if command.json:
         print(json.dumps(report.as_json(), indent=1))
     else:
-        _show(report.overall())
+        _show(tables[0])
+
+
+def _grid(command: Eval) -> studies.Grid:
+    """The settings of tables 3 and 4, after a look at all numbers of the command."""
+    if command.jitter < 0 or command.jobs < 0 or command.pictures < 0:
+        raise UsageError(
+            f"--jitter, --jobs, --pictures: no negative {min(command.jitter, command.jobs, command.pictures)}"
+        )
+    if command.table not in {None, 2, 3, 4, 5}:
+        raise UsageError(f"--table is 2, 3, 4 or 5, not {command.table}")
+    if command.table in {3, 4} and (command.tracker or command.imports):
+        raise UsageError(f"--table {command.table} names its own trackers; leave out --tracker and --import")
+    if command.pictures and command.out is None:
+        raise UsageError("--pictures needs --out, the folder to draw into")
+    try:
+        iterations = tuple(int(n) for n in command.iterations.split(","))
+        return studies.Grid(iterations, tuple(float(eta) for eta in command.etas.split(",")))
+    except ValueError:
+        raise UsageError(f"--iterations and --etas: {command.iterations} / {command.etas} are not 1,2,3") from None
 
 
 def bench(command: Bench) -> None:
@@ -204,7 +237,7 @@ def _sequences(root: Path, benchmark: str, only: tuple[str, ...]) -> list[Sequen
 def _published(root: Path, sequences: list[Sequence]) -> set[str]:
     """Names of the sequences with a result in ROOT/results, which are those that others' figures are over."""
     folder = root / "results"
-    return {name for tracker in trackers_in(folder, sequences) for name in stored_boxes(folder, tracker, sequences)}
+    return {name for t in trackers_in(folder, sequences) for name in read_stored(folder, t, sequences).boxes}
 
 
 def _matches(sequence: Sequence, pattern: str) -> bool:
@@ -212,20 +245,19 @@ def _matches(sequence: Sequence, pattern: str) -> bool:
     return any(fnmatch.fnmatchcase(name, pattern) for name in names)
 
 
-def _stored(imports: tuple[str, ...], sequences: list[Sequence], taken: set[str]) -> dict[str, dict[str, Boxes]]:
-    """Boxes by label and sequence, as `--import` asks for."""
-    found: dict[str, dict[str, Boxes]] = {}
+def _stored(imports: tuple[str, ...], sequences: list[Sequence], taken: set[str]) -> dict[str, Stored]:
+    """What `--import` asks for, by label."""
+    found: dict[str, Stored] = {}
     for text in imports:
         label, equals, place = text.partition("=")
         folder = Path(place if equals else text)
         if not folder.is_dir():
             raise UsageError(f"--import {text}: {folder} is not a folder")
         for name in [label] if equals else trackers_in(folder, sequences):
-            boxes = stored_boxes(folder, name, sequences)
-            if not boxes:
+            stored = read_stored(folder, name, sequences)
+            if not stored.boxes:
                 raise UsageError(f"--import {text}: {folder} has no boxes of {name} for any of the sequences")
-            free = name if name not in taken else f"{name} (stored)"
-            found[free] = boxes
+            found[name if name not in taken else f"{name} (stored)"] = stored
     if imports and not found:
         raise UsageError(f"--import {' '.join(imports)}: no boxes for any of the sequences")
     return found
@@ -244,11 +276,10 @@ def _run(command: Eval, specs: list[TrackerSpec], sequences: list[Sequence]) -> 
     }
 
 
-def _write(report: Report, folder: Path) -> None:
+def _write(report: Report, tables: list[Table], folder: Path) -> None:
     """Leave tables and figures in `folder`."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "report.json").write_text(json.dumps(report.as_json(), indent=1) + "\n")
-    tables = [report.overall(), *report.by_group(), report.by_sequence()]
     (folder / "tables.md").write_text("\n".join(table.markdown() for table in tables))
     drawn = [*plots.draw_curves(report, folder), *plots.draw_attributes(report, folder)]
     _say(f"report.json, tables.md and {len(drawn)} figures are in {folder}")

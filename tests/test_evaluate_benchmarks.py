@@ -8,7 +8,7 @@ from scipy.io import savemat
 from racf.evaluate.benchmarks import read_benchmark
 from racf.evaluate.boxfiles import read_boxes, write_boxes
 from racf.evaluate.pictures import frames_of, read_frame
-from racf.evaluate.stored import stored_boxes, trackers_in
+from racf.evaluate.stored import read_stored, trackers_in
 
 LAYOUTS = {
     "folder": rendered.plain_folder,
@@ -170,7 +170,7 @@ def test_stored_boxes_are_found_in_every_known_arrangement(tmp_path):
         folder = tmp_path / str(number)
         (folder / place).parent.mkdir(parents=True)
         write_boxes(folder / place, sequence.truth)
-        assert np.array_equal(stored_boxes(folder, "T", [sequence])["walk"], sequence.truth)
+        assert np.array_equal(read_stored(folder, "T", [sequence]).boxes["walk"], sequence.truth)
         if "T" in place:
             assert trackers_in(folder, [sequence]) == ["T"]
 
@@ -181,20 +181,20 @@ def test_the_toolkits_matlab_files_give_the_boxes_of_their_first_run(tmp_path):
     runs[0, 0] = {"type": "rect", "res": sequence.truth, "fps": 30.0}
     runs[0, 1] = {"type": "rect", "res": sequence.truth + 9, "fps": 30.0}
     savemat(tmp_path / "walk_T.mat", {"results": runs})
-    assert np.array_equal(stored_boxes(tmp_path, "T", [sequence])["walk"], sequence.truth)
+    assert np.array_equal(read_stored(tmp_path, "T", [sequence]).boxes["walk"], sequence.truth)
     numbered = np.column_stack([np.arange(6), sequence.truth])  # VisDrone's toolkit counts the frames
     savemat(tmp_path / "walk_T.mat", {"results": {"res": numbered}})
-    assert np.array_equal(stored_boxes(tmp_path, "T", [sequence])["walk"], sequence.truth)
+    assert np.array_equal(read_stored(tmp_path, "T", [sequence]).boxes["walk"], sequence.truth)
     savemat(tmp_path / "walk_T.mat", {"speed": 3.0})
     with pytest.raises(ValueError, match=r"walk_T\.mat: neither results"):
-        stored_boxes(tmp_path, "T", [sequence])
+        read_stored(tmp_path, "T", [sequence])
 
 
 def test_a_stored_result_that_is_too_short_is_named(tmp_path):
     (sequence,) = read_benchmark("folder", rendered.plain_folder(tmp_path / "data"))
     write_boxes(tmp_path / "walk.txt", sequence.truth[:4])
     with pytest.raises(ValueError, match=r"walk\.txt: 6 boxes are needed, one a frame, not 4"):
-        stored_boxes(tmp_path, "T", [sequence])
+        read_stored(tmp_path, "T", [sequence])
 
 
 def test_frames_come_from_a_folder_or_fail_with_its_name(tmp_path):

@@ -7,7 +7,7 @@ import pytest
 
 from racf.evaluate.benchmarks import read_benchmark
 from racf.evaluate.report import build_report
-from racf.evaluate.stored import stored_boxes, trackers_in
+from racf.evaluate.stored import read_stored, trackers_in
 
 DATA = Path(os.environ.get("RACF_DATA", Path(__file__).parents[2] / "shared" / "data"))
 PAPER = DATA / "paper"
@@ -34,7 +34,7 @@ def test_stored_boxes_give_the_published_figures(benchmark):
     results = PAPER / benchmark / "results"
     names = trackers_in(results, sequences)
     assert set(names) == set(PUBLISHED[benchmark])
-    report = build_report(sequences, {}, {name: stored_boxes(results, name, sequences) for name in names})
+    report = build_report(sequences, {}, {name: read_stored(results, name, sequences) for name in names})
     assert len(report.counted) == len(sequences)
     for name, figures in report.as_json().items():
         assert (figures["precision_20px"], figures["auc"]) == pytest.approx(PUBLISHED[benchmark][name], abs=0.01)
@@ -47,7 +47,7 @@ OFFICIAL = {"RACF": (89.4, 59.3), "AutoTrack": (91.8, 60.1), "ARCF-HC": (82.7, 5
 @pytest.mark.skipif(not NINE.is_dir(), reason=f"the nine sequences and their stored boxes are missing: {NINE}")
 def test_the_nine_sequences_have_their_official_figures_and_the_tenth_stays_outside_the_mean():
     sequences = read_benchmark("folder", DATA)
-    stored = {name: stored_boxes(NINE, name, sequences) for name in OFFICIAL}
+    stored = {name: read_stored(NINE, name, sequences) for name in OFFICIAL}
     report = build_report(sequences, {}, stored)
     assert len(report.counted) == 9
     assert "Biker" not in report.counted

@@ -12,6 +12,7 @@ from racf.box import Box
 from racf.evaluate.benchmarks import read_benchmark
 from racf.evaluate.report import build_report
 from racf.evaluate.runner import Run, jittered, run_all, run_task, tasks
+from racf.evaluate.stored import Stored
 from racf.track import Track
 
 NAMES = ("one", "two", "three")
@@ -145,7 +146,7 @@ def test_jittered_starts_are_drawn_by_sequence_and_start_and_stay_near_the_targe
 
 def test_the_means_are_over_the_sequences_that_every_row_has(sequences):
     runs = {"ours": {s.name: [Run(s.truth, 10.0, {}), Run(s.truth + 50, 10.0, {})] for s in sequences}}
-    stored = {"theirs": {s.name: s.truth + np.array([25, 0, 0, 0]) for s in sequences[:2]}}
+    stored = {"theirs": Stored({s.name: s.truth + np.array([25, 0, 0, 0]) for s in sequences[:2]})}
     report = build_report(sequences, runs, stored)
     assert report.counted == tuple(s.name for s in sequences[:2])
     figures = report.as_json()
@@ -156,7 +157,7 @@ def test_the_means_are_over_the_sequences_that_every_row_has(sequences):
     only = build_report(sequences, runs, {}, reference=[sequences[1].name, "elsewhere"])
     assert only.counted == (sequences[1].name,)
     with pytest.raises(ValueError, match="no sequence has a result of each of ours, none"):
-        build_report(sequences, runs, {"none": {}})
+        build_report(sequences, runs, {"none": Stored({})})
 
 
 @pytest.mark.filterwarnings("default")  # of the cluster's own libraries

@@ -9,6 +9,7 @@ import numpy as np
 from racf.evaluate.benchmarks import Sequence
 from racf.evaluate.metrics import Boxes, Convention, Score, interval_of_mean, mean_score, score
 from racf.evaluate.runner import Run
+from racf.evaluate.stored import Stored
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,6 +78,12 @@ class Report:
         """Attributes that at least two counted sequences have, as in the toolkits' plots."""
         every = sorted({a for s in self.sequences for a in s.attributes})
         return [a for a in every if len(self.names(attribute=a)) >= 2]
+
+    def telling_apart(self, count: int) -> list[str]:
+        """The counted sequences on which the trackers' AUCs differ most, those with frames only."""
+        spread = {s.name: float(np.ptp([row.nominal[s.name].toolkit.auc for row in self.rows]))
+                  for s in self.sequences if s.name in self.counted and s.frames}  # fmt: skip
+        return sorted(spread, key=lambda name: -spread[name])[:count]
 
     def as_json(self) -> dict[str, Any]:
         """The contract of `racf eval --json`: see docs/evaluation.md."""
@@ -165,7 +172,7 @@ class Report:
 def build_report(
     sequences: Iterable[Sequence],
     runs: Mapping[str, Mapping[str, list[Run]]],
-    stored: Mapping[str, Mapping[str, Boxes]],
+    stored: Mapping[str, Stored],
     reference: Iterable[str] = (),
 ) -> Report:
     """Judge runs (by label and sequence: the nominal one first, then the jittered) and stored boxes.
@@ -175,8 +182,9 @@ def build_report(
     """
     sequences = tuple(sequences)
     rows = [_judge_runs(label, sequences, by_sequence) for label, by_sequence in runs.items()]
-    for label, boxes in stored.items():
-        rows.append(Row(label, {s.name: Judged.of(boxes[s.name], s) for s in sequences if s.name in boxes}))
+    for label, left in stored.items():
+        judged = {s.name: Judged.of(left.boxes[s.name], s) for s in sequences if s.name in left.boxes}
+        rows.append(Row(label, judged, left.fps))
     common = [s.name for s in sequences if all(s.name in row.nominal for row in rows)]
     published = set(reference)
     counted = [name for name in common if name in published] or common

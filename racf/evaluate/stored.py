@@ -4,7 +4,9 @@ Known arrangements, with `.txt` or `.mat` files: `DIR/<sequence>`, `DIR/<tracker
 `DIR/<benchmark>` or `results` (also `DIR/<benchmark>/results`), and the toolkits' `<sequence>_<tracker>.mat`.
 """
 
+import json
 from collections.abc import Iterable
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from racf.evaluate.benchmarks import Sequence
@@ -12,16 +14,29 @@ from racf.evaluate.boxfiles import read_boxes
 from racf.evaluate.metrics import Boxes
 
 
-def stored_boxes(folder: Path, tracker: str, sequences: Iterable[Sequence]) -> dict[str, Boxes]:
-    """Boxes of a tracker by sequence, for those sequences that it has; raises ValueError when a file is too short."""
-    found: dict[str, Boxes] = {}
+@dataclass(frozen=True, slots=True, eq=False)
+class Stored:
+    """A tracker's boxes by sequence, for those that it has, and its frames per second where `fps.json` lies beside."""
+
+    boxes: dict[str, Boxes]
+    fps: dict[str, float] = field(default_factory=dict)
+
+
+def read_stored(folder: Path, tracker: str, sequences: Iterable[Sequence]) -> Stored:
+    """What a tracker left in `folder`; raises ValueError when a file has not as many boxes as there are frames."""
+    found = Stored({})
     for sequence in sequences:
         path = _find(folder, tracker, sequence)
-        if path is not None:
-            boxes = read_boxes(path)
-            if len(boxes) != len(sequence.truth):
-                raise ValueError(f"{path}: {len(sequence.truth)} boxes are needed, one a frame, not {len(boxes)}")
-            found[sequence.name] = boxes
+        if path is None:
+            continue
+        boxes = read_boxes(path)
+        if len(boxes) != len(sequence.truth):
+            raise ValueError(f"{path}: {len(sequence.truth)} boxes are needed, one a frame, not {len(boxes)}")
+        found.boxes[sequence.name] = boxes
+        note = path.with_name("fps.json")
+        speeds = json.loads(note.read_text()) if note.is_file() else {}
+        if path.stem in speeds:
+            found.fps[sequence.name] = float(speeds[path.stem])
     return found
 
 
