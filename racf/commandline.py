@@ -12,6 +12,8 @@ from typing import Any, TypeVar, cast
 
 import tyro
 
+from racf.threads import one_core
+
 CommandT = TypeVar("CommandT")
 
 _FRAME = re.compile(r"[─-╿]+")  # the block of box-drawing characters
@@ -38,6 +40,7 @@ def run(
     UsageError ends in 2; OSError, ValueError and the `failures` that a program's own parts raise end in 1.  Anything
     else is a defect of ours and keeps its traceback.
     """
+    one_core()
     try:
         command = cast(CommandT, parse(commands, argv, prog=prog, description=description, config=config))
         execute(command)
