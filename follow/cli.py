@@ -1,10 +1,11 @@
 """The `follow` command line: the only file that puts the parts together."""
 
+import logging
 import math
 import signal
 import sys
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -13,25 +14,35 @@ import tyro
 from follow.acquire import Acquire
 from follow.camera import Camera, CameraError
 from follow.config import Config
+from follow.flight import Parts, RealTime, Spoken
+from follow.flight import fly as fly_parts
+from follow.geometry import Intrinsics
 from follow.inspect import show
-from follow.link import LinkError
+from follow.link import Link, LinkError
 from follow.loop import follow
 from follow.messages import Autopilot, Order, Tick
+from follow.operator import Operator
+from follow.pymavlink_link import connect
 from follow.record import Recorder
 from follow.safety import Safety
 from follow.scoring import Score, Truth
 from follow.servo import Servo
+from follow.signing import Signing
 from follow.summary import Figures
 from follow.target import Target
 from follow.terminal import Terminal, result
+from follow.tlog import Tlog
+from follow.video import LiveVideo, is_live, open_replay
 from follow.video import Replay as ReplayCamera
-from follow.video import is_live, open_replay
 from racf.box import Box
 from racf.commandline import UsageError, run
 from sim.replay import ReplayLink, WindowCamera
+from sim.scenarios import SCENARIOS, build_live
 
 REPLAY_HEIGHT_M = 10.0  # of the pretended vehicle: a common follow-me height
 PTZ_SHARE = 2  # the virtual camera shows 1 / 2 of the footage's width and height, pixel for pixel
+SCENE = "scene:"
+VEHICLE_S = 30.0  # an autopilot boots in less
 
 Settings = Annotated[Config, tyro.conf.arg(name="")]
 
@@ -71,6 +82,41 @@ class Replay:
 
 
 @dataclass(frozen=True, slots=True)
+class Run:
+    """Fly: follow a target with a vehicle that is already in the air.
+
+    Nothing is sent until FOLLOW is ordered: by --follow, by the key f, by SIGUSR1 or by a switch.  The key o, the
+    switch, a moved stick or any change of mode ends it; q, Ctrl-C and SIGTERM leave the vehicle in Hold or BRAKE.
+    """
+
+    link: str
+    """udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, serial:DEVICE:BAUD; mavsdk+udpin://HOST:PORT for MAVSDK."""
+    camera: str = "0"
+    """A device (0, /dev/video0), a stream (rtsp://...), a file, or scene:NAME: a drawn scene seen from the vehicle."""
+    target: str | None = None
+    """What to follow: x,y,w,h in 0-based pixels of the first picture; a scene knows its own."""
+    follow: bool = False
+    """Order FOLLOW as soon as every check is green, once."""
+    rc_channel: Annotated[int | None, tyro.conf.arg(metavar="1-18")] = None
+    """Channel of the remote control whose switch orders FOLLOW (up) and OBSERVE (down)."""
+    system_id: int | None = None
+    """The vehicle's MAVLink system id; the first vehicle heard when not given."""
+    signing_key: Path | None = None
+    """File of the MAVLink 2 signing key: 32 bytes, readable by its owner only."""
+    seconds: float = 0.0
+    """End after this time; 0 flies until stopped."""
+    seed: int = 0
+    """Of a drawn scene."""
+    tracker: str = "racf,robust"
+    """Tracker by name, with settings: racf, racf-, racf--, bacf, arcf-hc; e.g. racf,robust,cell=4."""
+    out: Path = Path("out/run")
+    """Folder of flight.rrd, flight.tlog, ticks.csv and summary.json."""
+    json: bool = False
+    """Print the summary as JSON on standard output."""
+    config: Settings = field(default_factory=Config)
+
+
+@dataclass(frozen=True, slots=True)
 class Inspect:
     """Open a recording in Rerun's viewer."""
 
@@ -80,6 +126,7 @@ class Inspect:
 
 Command = (
     Annotated[Replay, tyro.conf.subcommand("replay")]
+    | Annotated[Run, tyro.conf.subcommand("run")]
     | Annotated[Inspect, tyro.conf.subcommand("inspect")]
 )  # fmt: skip
 
@@ -185,10 +232,91 @@ def windowed(footage: ReplayCamera, link: ReplayLink, target: Box, config: Confi
     return WindowCamera(footage, link, lens, window, (target.centre_x, target.centre_y), range_m)
 
 
-def execute(command: Replay | Inspect) -> None:
+@dataclass(frozen=True, slots=True)
+class Eye:
+    """An open camera and what must be known of it to fly by it."""
+
+    camera: Camera
+    lens: Intrinsics
+    down_rad: float
+    target: Box
+    truth: Callable[[Tick], Box | None] = lambda _tick: None
+
+
+def eye(command: Run, link: Link, report: Callable[[str], None]) -> Eye:
+    """The camera that the command names; a scene is drawn as seen from where the link says that the vehicle is."""
+    if command.camera.startswith(SCENE):
+        return scene_eye(command, link)
+    if command.target is None:
+        raise UsageError("what is to be followed? give --target x,y,w,h")
+    if is_live(command.camera):
+        camera = LiveVideo(command.camera, report)
+    else:
+        camera = RealTime(open_replay(command.camera, None, report))
+    mount = command.config.camera
+    return Eye(camera, mount.intrinsics(*camera.size), mount.down_rad, box_of(command.target))
+
+
+def scene_eye(command: Run, link: Link) -> Eye:
+    """A drawn scene of as long a flight as is asked for, with its own target when no other is named."""
+    name = command.camera.removeprefix(SCENE)
+    scenario = SCENARIOS.get(name)
+    if scenario is None:
+        raise UsageError(f"there is no scene {name!r}; there are {', '.join(SCENARIOS)}")
+    scenario = replace(scenario, duration_s=max(command.seconds, scenario.duration_s))
+    camera, _ = build_live(scenario, command.seed, link.state().autopilot or Autopilot.PX4, link)
+    target = box_of(command.target) if command.target is not None else camera.first()[1]
+
+    def true_box(tick: Tick) -> Box | None:
+        return None if tick.frame is None else camera.truth(tick.frame.index).box
+
+    return Eye(camera, camera.settings.intrinsics, camera.settings.down_rad, target, true_box)
+
+
+def fly_live(command: Run) -> None:
+    """`follow run`."""
+    from racf.tracker import warm_up  # noqa: PLC0415 - loads the compiled kernels
+
+    terminal = Terminal()
+    spoken = Spoken(terminal.report)
+    log = logging.getLogger("follow")
+    log.addHandler(spoken)
+    log.setLevel(logging.INFO)
+    config = command.config
+    terminal.report(f"tracker warm after {warm_up():.1f} s")
+    about = f"# follow run {command.link} {command.camera}\n\ntracker {command.tracker}"
+    with Recorder(command.out, config.record, terminal.report, waits=False, about=about) as recorder:
+        terminal.listeners.append(recorder.message)
+        signing = Signing(command.signing_key) if command.signing_key else None
+        tlog = Tlog(command.out / "flight.tlog")
+        with connect(command.link, command.system_id, signing=signing, tlog=tlog) as link:
+            link.wait_for_vehicle(VEHICLE_S)
+            seen = eye(command, link, terminal.report)
+            operator = Operator(terminal.report, command.follow, command.rc_channel, lambda: link.client.heard)
+            with seen.camera as camera:
+                parts = Parts(
+                    camera,
+                    link,
+                    acquire(command.tracker, seen.target, uses_prior=True),
+                    Target(seen.lens, seen.down_rad, config.target),
+                    Servo(seen.down_rad, config.servo),
+                    Safety(config.limits),
+                )
+                fly_parts(parts, operator, recorder, seen.truth, command.seconds)
+            autopilot = link.state().autopilot
+        figures: Figures = {"tracker": command.tracker, "autopilot": autopilot.value if autopilot else ""}
+        figures = recorder.close(figures)
+    log.removeHandler(spoken)
+    result(figures, as_json=command.json)
+    terminal.report(f"recording: {command.out / 'flight.rrd'}")
+
+
+def execute(command: Replay | Run | Inspect) -> None:
     """Run one command."""
     if isinstance(command, Replay):
         replay(command)
+    elif isinstance(command, Run):
+        fly_live(command)
     else:
         show(command.recording)
 

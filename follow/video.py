@@ -202,7 +202,10 @@ class VideoFile(_Closing):
 
 
 class LiveVideo(_Closing):
-    """A device or stream.  A thread reads it; only the newest picture is kept, with the time at which it came."""
+    """A device or stream.  A thread reads it; only the newest picture is kept, with the time at which it came.
+
+    `size` is the width and height of its pictures, as it says itself.
+    """
 
     def __init__(self, source: str, report: Report, clock: Callable[[], float] = time.monotonic) -> None:
         _hush_decoders()
@@ -212,6 +215,7 @@ class LiveVideo(_Closing):
         self._video = self._open()
         if not self._video.isOpened():
             raise CameraError(f"camera {source!r} cannot be opened")
+        self.size = int(self._video.get(cv2.CAP_PROP_FRAME_WIDTH)), int(self._video.get(cv2.CAP_PROP_FRAME_HEIGHT))
         self._fresh = threading.Condition()
         self._newest: Frame | None = None
         self._closing = threading.Event()

@@ -1,0 +1,154 @@
+"""`follow run`: what a flight needs around the loop.
+
+The loop computes and sends; a flight asks for the mode when the gate engages, lets the operator speak, feeds the
+watchdog and, however it ends, ramps down through the gate before the link asks for Hold or BRAKE.
+"""
+
+import logging
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Protocol
+
+from typing_extensions import Self
+
+from follow.camera import Camera
+from follow.link import Link
+from follow.loop import Safety, Servo, Target, Tracker, follow
+from follow.messages import HOVER, NEVER, Estimate, Frame, Tick
+from follow.modes import Mode
+from follow.operator import Keys, Operator, Report, signals
+from follow.record import Recorder
+from follow.service import Service
+from follow.video import Replay
+from racf.box import Box
+
+ROUND_S = 0.05  # 20 setpoints a second while ramping down: the usual rate for either autopilot
+LEAVE_S = 10.0  # longer than the ramp from any speed (12 m/s at 2.5 m/s2 and the gate's patience: 6.5 s)
+
+
+class FlyingLink(Link, Protocol):
+    """A Link that can also ask for the mode that obeys us."""
+
+    def take_control(self) -> None:
+        """Ask, once, for OFFBOARD or GUIDED."""
+        ...
+
+
+def engaging(ticks: Iterable[Tick], link: FlyingLink) -> Iterator[Tick]:
+    """The ticks; where the gate begins to engage, the mode is asked for, once."""
+    before = ""
+    for tick in ticks:
+        if tick.decision.mode == Mode.ENGAGE.value != before:
+            link.take_control()
+        before = tick.decision.mode
+        yield tick
+
+
+def ramping_down(
+    link: Link, safety: Safety, pause: Callable[[], None], rounds: int = int(LEAVE_S / ROUND_S)
+) -> Iterator[Tick]:
+    """Rounds without a picture, which the gate answers by ramping to zero, until nothing is sent any more."""
+    for _ in range(rounds):
+        state = link.state()
+        unseen = Estimate(state.t_s, 0.0, 0.0, 1.0, 0.0)
+        decision = safety.allow(HOVER, unseen, state, NEVER)
+        link.send(decision.setpoint)
+        yield Tick(None, None, state, unseen, HOVER, decision)
+        if decision.setpoint is None:
+            return
+        pause()
+
+
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """What flies: the pieces of the loop, already built, with camera and link open."""
+
+    camera: Camera
+    link: FlyingLink
+    tracker: Tracker
+    target: Target
+    servo: Servo
+    safety: Safety
+
+
+def fly(
+    parts: Parts,
+    operator: Operator,
+    recorder: Recorder,
+    truth: Callable[[Tick], Box | None] = lambda _tick: None,
+    seconds: float = 0.0,
+) -> None:
+    """Fly until the camera ends, the operator leaves or `seconds` are over (0: no end), then ramp down.
+
+    An error inside the loop is raised again after the ramp.
+    """
+    p, service = parts, Service()
+    loop = follow(p.camera, p.link, p.tracker, p.target, p.servo, p.safety, operator)
+    began_t_s: float | None = None
+    why = "an error"
+    with signals(operator), Keys() as keys:
+        service.ready()
+        try:
+            for tick in engaging(loop, p.link):
+                recorder.tick(tick, truth(tick))
+                operator.see(tick)
+                service.alive(tick.state.t_s, tick.decision.mode)
+                keys.read_into(operator)
+                began_t_s = tick.state.t_s if began_t_s is None else began_t_s
+                if operator.leaving or 0.0 < seconds <= tick.state.t_s - began_t_s:
+                    break
+            why = operator.leaving or "the flight is over"
+        finally:
+            service.stopping()
+            operator.report(f"leaving ({why}): ramping down")
+            for tick in ramping_down(p.link, p.safety, lambda: time.sleep(ROUND_S)):
+                recorder.tick(tick)
+                operator.see(tick)
+            service.close()
+
+
+class RealTime:
+    """A replayed camera in real time: each picture comes when it is due, and bears the time at which it came."""
+
+    def __init__(self, footage: Replay, clock: Callable[[], float] = time.monotonic) -> None:
+        self.footage = footage
+        self._clock = clock
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of its pictures."""
+        return self.footage.size
+
+    def frames(self) -> Iterator[Frame | None]:
+        """Yield each picture when it is due, or None for a round without one; a slow consumer misses pictures."""
+        began_s = self._clock()
+        for n, frame in enumerate(self.footage.frames()):
+            due_s = began_s + n / self.footage.fps
+            late_s = self._clock() - due_s
+            if late_s > 1 / self.footage.fps:
+                continue
+            time.sleep(max(-late_s, 0.0))
+            yield None if frame is None else Frame(frame.image, self._clock(), frame.index)
+
+    def __enter__(self) -> Self:
+        self.footage.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.footage.__exit__(kind, error, trace)
+
+
+class Spoken(logging.Handler):
+    """What the parts log, as lines for a person."""
+
+    def __init__(self, report: Report) -> None:
+        super().__init__(logging.INFO)
+        self._report = report
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Report one line."""
+        self._report(record.getMessage())

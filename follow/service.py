@@ -1,0 +1,50 @@
+"""systemd's side of a flight: ready, alive, stopping (sd_notify(3)).
+
+The watchdog is fed from the control loop and from nowhere else: a loop that hangs is restarted, into OBSERVE.
+"""
+
+import contextlib
+import os
+import socket
+
+from follow.messages import NEVER
+
+ALIVE_EVERY_S = 0.5  # a quarter of the shortest WatchdogSec that makes sense for a loop with rounds of 50 ms
+
+
+class Service:
+    """Speaks to the service manager that started us, if one did.  `address` is the value of NOTIFY_SOCKET."""
+
+    def __init__(self, address: str | None = None) -> None:
+        address = os.environ.get("NOTIFY_SOCKET", "") if address is None else address
+        self._socket: socket.socket | None = None
+        self._alive_t_s = NEVER
+        if address:
+            self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+            self._socket.setblocking(False)
+            self._address = "\0" + address[1:] if address.startswith("@") else address
+
+    def ready(self) -> None:
+        """The loop is about to begin."""
+        self._say("READY=1")
+
+    def alive(self, t_s: float, mode: str) -> None:
+        """A round was completed at `t_s`."""
+        if not 0.0 <= t_s - self._alive_t_s < ALIVE_EVERY_S:
+            self._alive_t_s = t_s
+            self._say(f"WATCHDOG=1\nSTATUS={mode}")
+
+    def stopping(self) -> None:
+        """The flight is being ended."""
+        self._say("STOPPING=1")
+
+    def close(self) -> None:
+        """Give the socket back."""
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+    def _say(self, text: str) -> None:
+        if self._socket is not None:
+            with contextlib.suppress(OSError):  # a service manager that does not listen is not worth a flight
+                self._socket.sendto(text.encode(), self._address)
