@@ -14,7 +14,7 @@ import tyro
 from follow.acquire import Acquire
 from follow.camera import Camera, CameraError
 from follow.config import Config
-from follow.flight import Parts, RealTime, Spoken
+from follow.flight import Parts, RealTime, Spoken, preflight, unwaived
 from follow.flight import fly as fly_parts
 from follow.geometry import Intrinsics
 from follow.inspect import show
@@ -99,6 +99,8 @@ class Run:
     """Order FOLLOW as soon as every check is green, once."""
     rc_channel: Annotated[int | None, tyro.conf.arg(metavar="1-18")] = None
     """Channel of the remote control whose switch orders FOLLOW (up) and OBSERVE (down)."""
+    waive: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """Follow although this check of `follow doctor` is red, repeatable."""
     system_id: int | None = None
     """The vehicle's MAVLink system id; the first vehicle heard when not given."""
     signing_key: Path | None = None
@@ -291,8 +293,11 @@ def fly_live(command: Run) -> None:
         tlog = Tlog(command.out / "flight.tlog")
         with connect(command.link, command.system_id, signing=signing, tlog=tlog) as link:
             link.wait_for_vehicle(VEHICLE_S)
+            findings = preflight(link, command.out, signs=signing is not None)
+            red = unwaived(findings, command.waive, terminal.report)
             seen = eye(command, link, terminal.report)
-            operator = Operator(terminal.report, command.follow, command.rc_channel, lambda: link.client.heard)
+            heard = link.client.heard
+            operator = Operator(terminal.report, command.follow, command.rc_channel, heard, red)
             with seen.camera as camera:
                 parts = Parts(
                     camera,

@@ -6,19 +6,22 @@ watchdog and, however it ends, ramps down through the gate before the link asks 
 
 import logging
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from types import TracebackType
 from typing import Protocol
 
 from typing_extensions import Self
 
 from follow.camera import Camera
+from follow.doctor import Finding, Verdict, check_disk, check_signing, check_time, check_vehicle
 from follow.link import Link
 from follow.loop import Safety, Servo, Target, Tracker, follow
 from follow.messages import HOVER, NEVER, Estimate, Frame, Tick
 from follow.modes import Mode
 from follow.operator import Keys, Operator, Report, signals
+from follow.pymavlink_link import MavlinkLink
 from follow.record import Recorder
 from follow.service import Service
 from follow.video import Replay
@@ -107,6 +110,27 @@ def fly(
                 recorder.tick(tick)
                 operator.see(tick)
             service.close()
+
+
+def preflight(link: MavlinkLink, out: Path, *, signs: bool) -> list[Finding]:
+    """What `follow doctor` finds before this flight; the conversation takes some ten seconds."""
+    findings = check_vehicle(link.client, link.listen, time.monotonic)
+    return [*findings, check_disk(out), check_time(signs, time.time()), check_signing(link.client, signs)]
+
+
+def unwaived(findings: Sequence[Finding], waived: Sequence[str], report: Report) -> tuple[str, ...]:
+    """Say what is not well, and return what forbids to follow: each red line that `waived` does not name.
+
+    Raises ValueError for a waiver of something that was not looked at.
+    """
+    names = [finding.name for finding in findings]
+    if unknown := [name for name in waived if name not in names]:
+        raise ValueError(f"--waive {unknown[0]} names no check; there are {', '.join(names)}")
+    for finding in findings:
+        if finding.verdict is not Verdict.OK:
+            report(f"{finding}{' (waived)' if finding.name in waived else ''}")
+    red = (finding for finding in findings if finding.verdict is Verdict.RED and finding.name not in waived)
+    return tuple(f"{finding.name} is red" for finding in red)
 
 
 class RealTime:

@@ -22,7 +22,6 @@ from follow.messages import NEVER, Order, Tick, VehicleState
 from follow.modes import STREAMING, Mode
 
 Report = Callable[[str], None]
-Checks = Callable[[VehicleState], tuple[str, ...]]
 
 SWITCH_ON_US = 1700  # PWM of a switch: the usual thirds of 1000..2000
 SWITCH_OFF_US = 1300
@@ -78,14 +77,14 @@ class Remote:
 class Operator:
     """Called by the loop once a round for an order.  `see` tells it of each tick.
 
-    `at_once` orders FOLLOW when the checks are first green, once.  `checks` names what forbids to follow.
+    `at_once` orders FOLLOW when the checks are first green, once.  `red` says what forbids to follow.
     """
 
     report: Report
     at_once: bool = False
     channel: int | None = None
-    heard: Callable[[], Heard] | None = None
-    checks: Checks = lambda _state: ()
+    heard: Heard | None = None
+    red: tuple[str, ...] = ()
     leaving: str = ""  # why the program is to end, empty while it is not
     mode: Mode = Mode.OBSERVE
     state: VehicleState = field(default_factory=lambda: VehicleState(NEVER))
@@ -99,7 +98,7 @@ class Operator:
         """The order of this round."""
         order = self.taken_back() or self.asked()
         if order is Order.FOLLOW and self.mode not in STREAMING:
-            if red := (*self.checks(self.state), *self.other_senders()):
+            if red := (*self.red, *self.other_senders()):
                 self.report(f"will not follow: {'; '.join(red)}")
                 return None
             self.report("ordered to follow")
@@ -125,8 +124,8 @@ class Operator:
 
     def asked(self) -> Order | None:
         """What a person asks for by any of the ways."""
-        if self.heard is not None and self.is_recent(self.heard().rc_t_s):
-            order = self.remote.switched(self.heard().rc_channels)
+        if self.heard is not None and self.is_recent(self.heard.rc_t_s):
+            order = self.remote.switched(self.heard.rc_channels)
             if order is not None:
                 return order
         if self.at_once and self.mode is Mode.READY:
@@ -139,7 +138,7 @@ class Operator:
         flying = self.mode in STREAMING
         if self.heard is None:
             return None
-        moved = self.remote.stick_moved(self.heard().rc_channels, flying)
+        moved = self.remote.stick_moved(self.heard.rc_channels, flying)
         if not flying:
             return None
         if moved:
@@ -152,7 +151,7 @@ class Operator:
 
     def other_senders(self) -> tuple[str, ...]:
         """Who else steers the vehicle now."""
-        steering = self.heard().steering if self.heard is not None else {}
+        steering = self.heard.steering if self.heard is not None else {}
         return tuple(
             f"system {system} component {component} sends setpoints, too"
             for (system, component), t_s in sorted(steering.items())
