@@ -16,12 +16,18 @@ SINK_M_S = 0.6  # PX4 without a stream and without a remote control: position mo
 TELEMETRY_DELAY_S = 0.03  # attitude at 50 Hz over a serial line: half a period and the way
 
 
+def present(m: Motion) -> Setpoint:
+    """The setpoint that keeps the present velocity."""
+    c, s = math.cos(m.yaw_rad), math.sin(m.yaw_rad)
+    return Setpoint(c * m.north_m_s + s * m.east_m_s, c * m.east_m_s - s * m.north_m_s, m.down_m_s, m.yaw_rate_rad_s)
+
+
 class SimLink:
     """A Link to a `Vehicle`.  `advance` is the clock; the camera drives it."""
 
     def __init__(self, vehicle: Vehicle, telemetry_delay_s: float = TELEMETRY_DELAY_S) -> None:
         self.vehicle = vehicle
-        self.setpoint: Setpoint = HOVER
+        self.setpoint = present(vehicle.motion)  # whoever flew it here keeps its velocity until we send
         self.sent_t_s: float | None = None
         self._delay_s = telemetry_delay_s
         self._told: deque[Motion] = deque([vehicle.motion])
@@ -76,11 +82,8 @@ class SimLink:
 
     def send(self, setpoint: Setpoint | None) -> None:
         """Give the vehicle its next setpoint; None sends nothing, and after a while its own failsafe acts."""
-        if setpoint is None:
-            if self.sent_t_s is None:
-                self.sent_t_s = self.vehicle.motion.t_s
-            return
-        self.setpoint, self.sent_t_s = setpoint, self.vehicle.motion.t_s
+        if setpoint is not None:
+            self.setpoint, self.sent_t_s = setpoint, self.vehicle.motion.t_s
 
     def __enter__(self) -> Self:
         return self

@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 
 from follow.geometry import Intrinsics, distort, undistort
 from racf.box import Box
-from sim.scene import Image, Seen, View
+from sim.drawing import View
+from sim.ground import Image
+from sim.scene import Seen
 
 
 @dataclass(frozen=True, slots=True)
