@@ -13,7 +13,7 @@ from sim.world import Block, Colour, Road, Tree, World, dense
 Image = NDArray[np.uint8]
 
 CELL_M = 0.125  # one texel; finer structure comes from the detail tile
-SIZE = 4096  # texels: 512 m, then it repeats
+TILE = 1024  # texels after which noise repeats
 DETAIL_CELL_M = 0.025
 DETAIL_SIZE = 512  # texels after which it repeats: 12.8 m
 DETAIL_TIMES = 4
@@ -78,7 +78,7 @@ class Painter:
         cv2.polylines(self.image, [self.texels(points)], False, colour, thickness, cv2.LINE_AA, 4)
 
 
-def fields(random: np.random.Generator) -> Image:
+def fields(random: np.random.Generator, size: int) -> Image:
     """A patchwork of meadows and crops, some with rows, parted by hedges."""
     small, count = 1024, 26
     seeds = random.uniform(0, small, (count, 2)).astype(np.float32)
@@ -94,29 +94,29 @@ def fields(random: np.random.Generator) -> Image:
     hedge = cv2.GaussianBlur(np.where(hedge > 0, 255, 0).astype(np.uint8), (0, 0), 1.2)
     colours = np.zeros((256, 1, 3), np.uint8)
     colours[:count, 0] = [FIELDS[k] for k in random.integers(0, len(FIELDS), count)]
-    image = large(cv2.LUT(cv2.merge([owner] * 3), colours), cv2.INTER_NEAREST)
+    image = large(cv2.LUT(cv2.merge([owner] * 3), colours), cv2.INTER_NEAREST, size)
 
-    broad, fine = noise(random, 1024, 256, 16), noise(random, 1024, 8, 1)
+    broad, fine = noise(random, TILE, 256, 16), noise(random, TILE, 8, 1)
     plain = 128 + 7 * broad + 9 * fine
-    furrows = 5.0 * np.sin(np.arange(1024, dtype=np.float32) * (2 * math.pi * 102 / 1024))  # rows 1.25 m apart
+    furrows = 5.0 * np.sin(np.arange(TILE, dtype=np.float32) * (2 * math.pi * 102 / TILE))  # rows 1.25 m apart
     ploughed = np.zeros((256, 1), np.uint8)
     ploughed[:count, 0] = np.where(random.random(count) < 0.5, 255, 0)
-    texture = tiled(plain)
-    cv2.copyTo(tiled(plain + furrows), large(cv2.LUT(owner, ploughed), cv2.INTER_NEAREST), texture)
+    texture = tiled(plain, size)
+    cv2.copyTo(tiled(plain + furrows, size), large(cv2.LUT(owner, ploughed), cv2.INTER_NEAREST, size), texture)
     image = cv2.addWeighted(image, 1, texture, 1, -128)
-    mask = cv2.threshold(large(hedge, cv2.INTER_LINEAR), 110, 255, cv2.THRESH_BINARY)[1]
+    mask = cv2.threshold(large(hedge, cv2.INTER_LINEAR, size), 110, 255, cv2.THRESH_BINARY)[1]
     cv2.copyTo(cv2.addWeighted(np.full_like(image, (46, 78, 62)), 1, texture, 2, -256), mask, image)
     return np.asarray(image, np.uint8)
 
 
-def large(image: cv2.typing.MatLike, interpolation: int) -> Image:
+def large(image: cv2.typing.MatLike, interpolation: int, size: int) -> Image:
     """Brought to the texture's size."""
-    return np.asarray(cv2.resize(image, (SIZE, SIZE), interpolation=interpolation), np.uint8)
+    return np.asarray(cv2.resize(image, (size, size), interpolation=interpolation), np.uint8)
 
 
-def tiled(tile: NDArray[np.floating]) -> Image:
+def tiled(tile: NDArray[np.floating], size: int) -> Image:
     """A grey tile as a colour image of the texture's size."""
-    times = SIZE // len(tile)
+    times = size // len(tile)
     grey = np.clip(tile, 0, 255).astype(np.uint8)
     return np.asarray(cv2.repeat(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), times, times), np.uint8)
 
@@ -191,19 +191,20 @@ def ground(world: World) -> Ground:
     """Paint the ground of a world: the same world gives the same bytes."""
     random = np.random.default_rng([world.seed, 2])
     centre = world.actors[0].route.table[:, :2].mean(axis=0)
-    north, east = (centre - SIZE * CELL_M / 2).tolist()
-    image = fields(random)
+    size = world.ground_texels
+    north, east = (centre - size * CELL_M / 2).tolist()
+    image = fields(random, size)
     painter = Painter(image, north, east)
-    for _ in range(700):  # tufts, bare patches, stones
-        place = random.uniform(0, SIZE * CELL_M, 2) + np.array([north, east])
+    for _ in range(45 * size * size // TILE**2):  # tufts, bare patches, stones
+        place = random.uniform(0, size * CELL_M, 2) + np.array([north, east])
         shade = random.uniform(0.65, 1.3)
         base = np.array(FIELDS[random.integers(len(FIELDS))]) * shade
         colour = (int(base[0]), int(base[1]), int(base[2]))
         painter.area(place + blob(random, random.uniform(0.3, 2.2), 10), colour)
     for road in world.roads:
         paint_road(painter, road, random)
-    image = cv2.addWeighted(image, 1, tiled(128 + 5 * noise(random, 1024, 4, 1)), 1, -128)
-    light = shadows((SIZE, SIZE), north, east, world)
+    image = cv2.addWeighted(image, 1, tiled(128 + 5 * noise(random, TILE, 4, 1), size), 1, -128)
+    light = shadows((size, size), north, east, world)
     image = cv2.multiply(image, cv2.cvtColor(light, cv2.COLOR_GRAY2BGR), scale=1 / 255)
     levels = [np.asarray(image, np.uint8)]
     while len(levels) < LEVELS:

@@ -55,16 +55,18 @@ def draw(
     """Write the picture of a flight.  Raises OSError when the file cannot be written."""
     figure = Figure(figsize=(12, 8.5), layout="constrained")
     FigureCanvasAgg(figure)
-    above, beside = figure.subfigures(2, 1, height_ratios=(1, 2.6))
+    grid = figure.add_gridspec(2, 1, height_ratios=(1, 3))
+    above, beside = figure.add_subfigure(grid[0]), figure.add_subfigure(grid[1])
     above.suptitle(title, fontsize=11)
     for ax, (t_s, image) in zip(np.atleast_1d(above.subplots(1, STRIP)).flat, strip.pictures, strict=False):
         ax.imshow(cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
         ax.set_title(f"{t_s:.1f} s", fontsize=8)
     for ax in above.axes:
         ax.set_axis_off()
-    left, right = beside.subfigures(1, 2)
+    halves = beside.add_gridspec(1, 2)
+    left, right = beside.add_subfigure(halves[0]), beside.add_subfigure(halves[1])
     _ways(left.subplots(), rows, world)
-    _errors(right.subplots(3, 1, sharex=True), rows, camera, standoff_m)
+    _errors(list(np.atleast_1d(right.subplots(3, 1, sharex=True)).flat), rows, camera, standoff_m)
     figure.savefig(path, dpi=90)
 
 

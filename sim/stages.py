@@ -1,6 +1,7 @@
 """Worlds by seed: who goes where, past what.  Every way starts at the origin, northward."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -71,7 +72,7 @@ def furnished(random: Generator, world: World, extent_m: float = 90.0, trees: in
     along = np.array([math.cos(turn), math.sin(turn)])
     road = Road(tuple((float(n), float(e)) for n, e in (middle - 250 * along, middle + 250 * along)), 7.0)
     return scatter(
-        World(world.actors, world.blocks, world.trees, (road, *world.roads), world.sun, int(random.integers(1 << 31))),
+        replace(world, roads=(road, *world.roads), seed=int(random.integers(1 << 31))),
         extent_m,
         buildings,
         trees,
@@ -84,7 +85,8 @@ def footpath(random: Generator, kind: Kind, duration_s: float) -> World:
     rolling = kind is Kind.CYCLIST
     points = winding(random, speed * (duration_s + 8), max(4.0 * speed, 8.0), 0.45)
     actor = Actor(kind, route(kind, legs(points, 0.0 if rolling else 1.0), duration_s), look(random, kind))
-    world = World((actor,), roads=(path(points),), sun=sun(random))
+    texels = 2048 if speed * duration_s < 200 else 4096
+    world = World((actor,), roads=(path(points),), sun=sun(random), ground_texels=texels)
     return furnished(random, world, 60.0 + 0.6 * speed * duration_s)
 
 

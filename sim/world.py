@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -210,7 +210,8 @@ class World:
     roads: tuple[Road, ...] = ()
     sun: Sun = Sun()
     seed: int = 0
-    keep_clear_m: float = field(default=14.0)
+    keep_clear_m: float = 14.0
+    ground_texels: int = 2048  # side of the ground's texture, a multiple of 1024; 256 m, then it repeats
 
     def target(self, t_s: float) -> Place:
         """Where the target is."""
@@ -278,7 +279,7 @@ def scatter(world: World, extent_m: float, buildings: int, trees: int) -> World:
         green.append(
             Tree(float(north), float(east), height, height * random.uniform(0.28, 0.4), int(random.integers(6)))
         )
-    return World(world.actors, tuple(blocks), tuple(green), world.roads, world.sun, world.seed, world.keep_clear_m)
+    return replace(world, blocks=tuple(blocks), trees=tuple(green))
 
 
 def dense(points: tuple[tuple[float, float], ...], step_m: float = 3.0) -> Array:
