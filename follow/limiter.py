@@ -42,8 +42,7 @@ class Velocity:
         a = self.a or (0.0,) * len(self.v)
         if dt_s <= 0:
             return type(self)(self.v, a)
-        error = mixed(self.v, shortened(goal, speed), 1.0)
-        error = tuple(g - v for g, v in zip(error, self.v, strict=True))
+        error = tuple(g - v for g, v in zip(shortened(goal, speed), self.v, strict=True))
         away = norm(error)
         # From here the acceleration can still fall to zero, at full jerk, just as the goal is reached.
         strongest = min(accel, math.sqrt(2 * jerk * away), away / dt_s)
