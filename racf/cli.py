@@ -201,6 +201,8 @@ def bench(command: Bench) -> None:
         laps[clip.name] = of
         _say(f"{clip.name}: " + ", ".join(f"{label} {lap.fps:.0f}" for label, lap in of.items()) + " frames/s")
     figures = speed.summary(laps, [spec.label for spec in others])
+    for label, floors in speed.floors_ms(specs, clips).items():
+        figures["tracker"][label]["floor_ms"] = floors
     if command.first_call:
         figures["first_call"] = speed.first_calls(specs[0])
     if command.json:

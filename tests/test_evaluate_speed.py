@@ -4,10 +4,11 @@ import pytest
 import rendered_benchmarks as rendered
 
 from racf.box import Box
-from racf.evaluate import speed
+from racf.evaluate import floor, speed
 from racf.evaluate.benchmarks import read_benchmark
 from racf.evaluate.speed import Clip, Lap
 from racf.evaluate.trackers import TrackerSpec
+from racf.params import preset
 
 
 def test_every_tracker_is_timed_on_every_picture_after_the_first(tmp_path):
@@ -50,3 +51,23 @@ def test_a_fresh_process_says_how_long_its_first_update_took_and_what_it_holds()
     assert figures["import_s"] > 0
     assert figures["first_update_s"] > 0
     assert 0 < figures["memory_mb"] < 500
+
+
+def test_the_least_work_grows_with_iterations_and_not_with_a_target_larger_than_the_sample():
+    racf, target = preset("racf"), Box(0, 0, 40, 40)
+    works = [floor.work_of_stages(preset(name), target)["learn filter"].flops for name in ("racf--", "arcf-hc")]
+    assert works[0] < works[1]  # two iterations, five iterations
+    assert floor.work_of_stages(racf, Box(0, 0, 400, 400)) == floor.work_of_stages(racf, Box(0, 0, 800, 800))
+    assert floor.work_of_stages(preset("racf-"), target)["refine"].flops == 0
+
+
+def test_a_stage_takes_no_less_than_the_slower_of_its_arithmetic_and_its_bytes():
+    machine = floor.Machine(flops_s=1e9, bytes_s=2e9)
+    assert machine.ms(floor.Work(flops=1e6, moved_bytes=1e6)) == pytest.approx(1.0)
+    assert machine.ms(floor.Work(flops=1e5, moved_bytes=1e6)) == pytest.approx(0.5)
+
+
+def test_a_core_does_more_than_a_billion_operations_and_less_than_a_trillion():
+    measured = floor.machine()
+    assert 1e9 < measured.flops_s < 1e13  # a product may use every core here; the command gives it one
+    assert 1e8 < measured.bytes_s < 1e12

@@ -20,7 +20,7 @@ from typing_extensions import Self
 import racf
 from racf.box import Box
 from racf.evaluate.runner import Tracker
-from racf.params import PRESETS, preset
+from racf.params import PRESETS, Params, preset
 from racf.refine import Refined
 from racf.track import Track
 
@@ -46,7 +46,7 @@ class TrackerSpec:
         """Raise ValueError for a name or a setting that is not known."""
         if self.name not in PRESETS and self.name not in OPENCV:
             raise ValueError(f"tracker {self.name!r} is not known; known are {', '.join([*PRESETS, *OPENCV])}")
-        _ = self._opencv_settings() if self.name in OPENCV else preset(self.name).with_settings(dict(self.settings))
+        _ = self._opencv_settings() if self.name in OPENCV else self.params()
 
     def with_settings(self, settings: list[str]) -> Self:
         """The same with more settings, each `key=value`, or `key` alone for true."""
@@ -57,14 +57,15 @@ class TrackerSpec:
         """A fresh tracker."""
         if self.name in OPENCV:
             return Peer(self.name, **self._opencv_settings())
-        return racf.Racf(preset(self.name).with_settings(dict(self.settings)))
+        return racf.Racf(self.params())
+
+    def params(self) -> Params:
+        """The parameters of one of ours; raises ValueError for a name or a setting that is not known."""
+        return preset(self.name).with_settings(dict(self.settings))
 
     def fingerprint(self) -> str:
         """Changes whenever the boxes could: a digest of parameters, versions and the tracker's source."""
-        if self.name in OPENCV:
-            what = f"{self.name} {self._opencv_settings()}"
-        else:
-            what = repr(preset(self.name).with_settings(dict(self.settings)))
+        what = f"{self.name} {self._opencv_settings()}" if self.name in OPENCV else repr(self.params())
         parts = (what, version("follow-me"), cv2.__version__, np.__version__, _source_digest())
         return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
 
