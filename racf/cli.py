@@ -197,8 +197,8 @@ def bench(command: Bench) -> None:
     if not others:
         _say("OpenCV here has neither CSRT nor KCF; `make bench` builds an environment that has")
     laps: dict[str, dict[str, speed.Lap]] = {}
-    for clip, of in speed.measure_all([*specs, *others], clips):
-        laps[clip.name] = of
+    for clip in clips:
+        laps[clip.name] = of = speed.measure([*specs, *others], clip)
         _say(f"{clip.name}: " + ", ".join(f"{label} {lap.fps:.0f}" for label, lap in of.items()) + " frames/s")
     figures = speed.summary(laps, [spec.label for spec in others])
     for label, floors in speed.floors_ms(specs, clips).items():

@@ -1,4 +1,4 @@
-"""The least that each stage of the tracker must do: arithmetic of its transforms, and bytes it must read and write once.
+"""The least that each stage of the tracker must do: arithmetic of its transforms, bytes it must read and write once.
 
 A stage cannot take less than its arithmetic at the speed of a matrix product, nor than its bytes at the speed of a
 copy out of the caches; both speeds are measured on the machine at hand.  Letters: N = H W cells of the sample, D

@@ -9,9 +9,8 @@ import importlib
 import json
 import os
 import zlib
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from multiprocessing import get_context
@@ -28,14 +27,13 @@ from racf.evaluate.benchmarks import Sequence
 from racf.evaluate.boxfiles import read_boxes, write_boxes
 from racf.evaluate.metrics import Boxes
 from racf.evaluate.pictures import read_frame
+from racf.threads import one_core
 from racf.track import Track
 
 # Jittered starts: the shift of the toolkits' spatial robustness evaluation (a tenth of the target's size) and half of
 # its change of size (0.8 to 1.2), drawn evenly and separately for both axes.
 JITTER_SHIFT = 0.1
 JITTER_SIZE = 0.1
-
-ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
 
 
 class Tracker(Protocol):
@@ -112,7 +110,7 @@ def jittered(box: Box, sequence: str, start: int) -> Box:
 
 def run_task(task: Task) -> Run:
     """Track one sequence; raises ValueError naming a frame that cannot be read."""
-    cv2.setNumThreads(1)  # figures are those of one core, and as many tasks may run as there are
+    one_core()  # figures are those of one core, and the sums in the boxes do not depend on how many there are
     warm_up(task.spec)
     cv2.setRNGSeed(0)  # GrabCut's mixtures begin from random numbers
     tracker, boxes, seconds, stages = task.spec.build(), [task.first_box], 0.0, dict[str, list[float]]()
@@ -146,12 +144,12 @@ def warm_up(spec: TrackerSpec) -> None:
 def run_all(
     todo: list[Task],
     *,
-    jobs: int = 0,
+    jobs: int = 1,
     folder: Path | None = None,
     dask: str | None = None,
     done: Callable[[Task, Run, bool], None] = lambda task, run, stored: None,
 ) -> dict[tuple[str, str, int], Run]:
-    """Outcomes by (label, sequence, start), from `jobs` processes (0: from this one) or a Dask cluster.
+    """Outcomes by (label, sequence, start), from `jobs` processes (1: this one) or from a Dask cluster.
 
     `done` is called after each, and told whether it was found in `folder`.
     """
@@ -176,32 +174,18 @@ def run_all(
 def _outcomes(todo: list[Task], jobs: int, dask: str | None) -> Iterator[tuple[Task, Run]]:
     if dask is not None:
         yield from _on_dask(todo, dask)
-    elif jobs == 0:
+    elif jobs == 1:
         for task in todo:
             yield task, run_task(task)
     elif todo:
-        with one_threaded_processes(min(jobs, len(todo))) as pool:
+        # Spawned, not forked: a fork would copy the progress bar's thread and OpenCV's locks in whatever state.
+        with ProcessPoolExecutor(min(jobs, len(todo)), mp_context=get_context("spawn")) as pool:
             waiting = {pool.submit(run_task, task): task for task in todo}
-            for future in as_completed(waiting):
-                yield waiting[future], future.result()
-
-
-@contextmanager
-def one_threaded_processes(count: int) -> Generator[ProcessPoolExecutor]:
-    """Processes whose numeric libraries use one thread each: they read that from the environment when they load.
-
-    Otherwise the sums of a matrix product, and so the boxes, could depend on how many cores there are.  Spawned, not
-    forked: a fork would copy the progress bar's thread and OpenCV's locks in whatever state.
-    """
-    before = {name: os.environ.get(name) for name in ONE_THREAD}
-    os.environ.update(ONE_THREAD)
-    pool = ProcessPoolExecutor(count, mp_context=get_context("spawn"))
-    try:
-        yield pool
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-        for name, value in before.items():
-            os.environ.pop(name) if value is None else os.environ.update({name: value})
+            try:
+                for future in as_completed(waiting):
+                    yield waiting[future], future.result()
+            finally:
+                pool.shutdown(wait=True, cancel_futures=True)
 
 
 def _on_dask(todo: list[Task], address: str) -> Iterator[tuple[Task, Run]]:

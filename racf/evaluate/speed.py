@@ -25,8 +25,9 @@ from racf.evaluate import floor
 from racf.evaluate.benchmarks import Sequence
 from racf.evaluate.pictures import Picture, read_frame
 from racf.evaluate.report import Table
-from racf.evaluate.runner import ONE_THREAD, one_threaded_processes, warm_up
+from racf.evaluate.runner import warm_up
 from racf.evaluate.trackers import PEERS, TrackerSpec, opencv_has
+from racf.threads import one_core
 
 OURS = ("racf", "racf-", "racf--", "bacf", "arcf-hc", "racf,robust")
 
@@ -115,17 +116,10 @@ def peers() -> list[TrackerSpec]:
     return [TrackerSpec.parse(name) for name in PEERS if opencv_has(name)]
 
 
-def measure_all(specs: list[TrackerSpec], clips: list[Clip]) -> Iterator[tuple[Clip, dict[str, Lap]]]:
-    """Each clip with its laps, from one process of one thread."""
-    with one_threaded_processes(1) as pool:
-        for clip in clips:
-            yield clip, pool.submit(measure, specs, clip).result()
-
-
 def floors_ms(specs: list[TrackerSpec], clips: list[Clip]) -> dict[str, dict[str, float]]:
     """The least time of each stage on this machine, by label and stage: the median over the clips."""
-    with one_threaded_processes(1) as pool:
-        best = pool.submit(floor.machine).result()
+    one_core()
+    best = floor.machine()
     out: dict[str, dict[str, float]] = {}
     for spec in specs:
         works = [floor.work_of_stages(spec.params(), clip.target) for clip in clips]
@@ -135,7 +129,7 @@ def floors_ms(specs: list[TrackerSpec], clips: list[Clip]) -> dict[str, dict[str
 
 def measure(specs: list[TrackerSpec], clip: Clip) -> dict[str, Lap]:
     """Laps by label, of trackers that see each picture one after the other."""
-    cv2.setNumThreads(1)
+    one_core()
     cv2.setRNGSeed(0)
     for spec in specs:
         warm_up(spec)
@@ -165,7 +159,7 @@ def first_calls(spec: TrackerSpec) -> dict[str, dict[str, float]]:
 
 def first_call(spec: TrackerSpec, environment: dict[str, str]) -> dict[str, float]:
     """The same for one fresh process, with this added to its environment."""
-    environment = {**os.environ, **ONE_THREAD, **environment}
+    environment = {**os.environ, **environment}
     command = [sys.executable, "-c", FIRST_CALL, spec.name, json.dumps(dict(spec.settings))]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     if done.returncode != 0:
