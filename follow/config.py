@@ -1,13 +1,20 @@
 """One frozen tree of settings; each part owns its own branch and says why its numbers are what they are."""
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from follow.geometry import Intrinsics
+from follow.limits import Limits
 from follow.record import RecordConfig
-from follow.safety import Limits
 from follow.servo import ServoConfig
 from follow.target import TargetConfig
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+BranchT = TypeVar("BranchT", bound="DataclassInstance")
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,3 +49,16 @@ class Config:
     servo: ServoConfig = field(default_factory=ServoConfig)
     limits: Limits = field(default_factory=Limits)
     record: RecordConfig = field(default_factory=RecordConfig)
+
+
+def beneath(chosen: BranchT, suggested: Mapping[str, Any]) -> BranchT:
+    """The settings with suggested values, except where a person chose otherwise than the defaults.
+
+    Raises TypeError for a suggestion that is not a setting.
+    """
+    default = type(chosen)()
+    untouched = {f.name for f in fields(chosen) if getattr(chosen, f.name) == getattr(default, f.name)}
+    unknown = set(suggested) - {f.name for f in fields(chosen)}
+    if unknown:
+        raise TypeError(f"{type(chosen).__name__} has no setting {', '.join(sorted(unknown))}")
+    return replace(chosen, **{name: value for name, value in suggested.items() if name in untouched})

@@ -35,6 +35,7 @@ class RecordConfig:
     """How the recording is made."""
 
     jpeg_quality: int = 75  # of 100; box and texture stay readable, a 640x360 picture takes some 40 kB
+    pictures: bool = True  # write flight.rrd; without it ticks.csv and summary.json remain
     queue: int = 16  # pictures waiting for the writer: half a second at 30 pictures/s, 100 MB at full HD
 
 
@@ -100,7 +101,9 @@ class Recorder:
     def _work(self) -> None:
         from follow.explain import Explanation  # noqa: PLC0415 - Rerun takes a second to load; the loop goes on
 
-        explanation: Explanation | None = Explanation(self._flight, self._about, self._config.jpeg_quality)
+        explanation: Explanation | None = None
+        if self._config.pictures:
+            explanation = Explanation(self._flight, self._about, self._config.jpeg_quality)
         going = True
         while going:
             texts, scene, messages, going = self._next()

@@ -1,5 +1,6 @@
 """A flight over annotated footage, scored: the tracker's boxes, and how well the target was kept in view."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -33,19 +34,25 @@ class Truth:
         return Box(x - 1, y - 1, w, h) if good else None
 
 
-class Score:
-    """Gathers boxes tick by tick; `window` is the part of the footage that the camera showed."""
+class Footage:
+    """Gathers boxes tick by tick over footage of size `whole`.
 
-    def __init__(self, truth: Truth) -> None:
+    `window` says which part of it the camera shows now; None when it shows all.
+    """
+
+    def __init__(self, truth: Truth | None, whole: Box, window: Callable[[], Box] | None = None) -> None:
         self._truth = truth
-        self._boxes = np.full_like(truth.rows, np.nan)
+        self._window = window or (lambda: whole)
+        self._closed_loop = window is not None
+        self._boxes = np.full_like(truth.rows, np.nan) if truth else np.empty((0, 4))
         self._rounds = 0
         self._offsets: list[tuple[float, float]] = []
 
-    def add(self, tick: Tick, window: Box) -> Box | None:
+    def add(self, tick: Tick) -> Box | None:
         """Take in one round; returns the true box in the picture of this round, if there is one."""
-        if tick.frame is None or tick.track is None:
+        if self._truth is None or tick.frame is None or tick.track is None:
             return None
+        window = self._window()
         index, box = tick.frame.index, tick.track.box
         if index < len(self._boxes):
             self._rounds = max(self._rounds, index + 1)
@@ -53,14 +60,13 @@ class Score:
         true = self._truth.box(index)
         if true is None:
             return None
-        half = window.w / 2
-        offset = (true.centre_x - window.centre_x) / half, (true.centre_y - window.centre_y) / half
-        self._offsets.append(offset)
+        half_w, half_h = window.w / 2, window.h / 2
+        self._offsets.append(((true.centre_x - window.centre_x) / half_w, (true.centre_y - window.centre_y) / half_h))
         return true.moved(-window.x, -window.y)
 
-    def figures(self, window: Box, *, closed_loop: bool) -> Figures:
-        """Percent, over the rows that were played; with `closed_loop` also how well the target was kept in view."""
-        if self._rounds == 0:
+    def figures(self) -> Figures:
+        """Percent, over the rows that were played; for a moving window also how well the target was kept in view."""
+        if self._truth is None or self._rounds == 0:
             return {}
         boxes, truth = self._boxes[: self._rounds], self._truth.rows[: self._rounds]
         figures: Figures = {}
@@ -68,11 +74,12 @@ class Score:
             scored = score(boxes, truth, convention)
             figures[f"precision_20px{suffix}"] = round(scored.precision_20px, 3)
             figures[f"auc{suffix}"] = round(scored.auc, 3)
-        if closed_loop:
+        if self._closed_loop:
+            window = self._window()
             offsets = np.array(self._offsets)
-            inside = np.all(np.abs(offsets) <= (1.0, window.h / window.w), axis=1)
-            figures["in_view"] = round(float(np.mean(inside)), 5)
-            figures["centring_rms"] = round(float(np.sqrt(np.mean(np.sum(offsets**2, axis=1)))), 5)
+            figures["in_view"] = round(float(np.mean(np.all(np.abs(offsets) <= 1.0, axis=1))), 5)
+            half_widths = offsets * (1.0, window.h / window.w)
+            figures["centring_rms"] = round(float(np.sqrt(np.mean(np.sum(half_widths**2, axis=1)))), 5)
         return figures
 
     def shortfall(self) -> str | None:

@@ -1,6 +1,8 @@
 """What a person at the terminal sees: messages and progress on standard error, the result on standard output."""
 
 import json
+import logging
+import math
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from typing import TypeVar
@@ -40,6 +42,24 @@ class Terminal:
         with Progress(*columns, console=self._console, transient=True) as progress:
             yield from progress.track(items, total=total, description=name)
 
+    def hear(self, logger: str) -> None:
+        """Report what a part of the program logs."""
+        source = logging.getLogger(logger)
+        source.setLevel(logging.INFO)
+        source.addHandler(_Reporting(self.report))
+
+
+class _Reporting(logging.Handler):
+    """Log records as lines for a person."""
+
+    def __init__(self, report: Callable[[str], None]) -> None:
+        super().__init__()
+        self._report = report
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Report one record."""
+        self._report(record.getMessage())
+
 
 class _Rate(ProgressColumn):
     """Items per second."""
@@ -63,3 +83,24 @@ def result(figures: Figures | list[Figures], *, as_json: bool) -> None:
     for name, value in figures.items():
         shown = ", ".join(f"{k} {v:g}" for k, v in value.items()) if isinstance(value, dict) else value
         sys.stdout.write(f"{name:<{width}}  {shown}\n")
+
+
+COLUMNS = ("in_view", "centring_rms", "standoff_rms_m", "lost_s", "violations", "worst_t_s")
+
+
+def table(summaries: list[Figures]) -> str:
+    """Flights as text: a line each, then the means of each scenario and autopilot setting."""
+    lines = [f"{'scenario':<22}{'autopilot':<11}{'seed':>5}" + "".join(f"{name:>16}" for name in COLUMNS)]
+    groups: dict[tuple[str, str], list[Figures]] = {}
+    for s in summaries:
+        groups.setdefault((s["scenario"], s["autopilot"]), []).append(s)
+    for (scenario, autopilot), flights in groups.items():
+        rows = [(str(s["seed"]), [_number(s.get(name, math.nan)) for name in COLUMNS]) for s in flights]
+        rows.append(("mean", [sum(column) / len(flights) for column in zip(*(r[1] for r in rows), strict=True)]))
+        lines += [f"{scenario:<22}{autopilot:<11}{seed:>5}" + "".join(f"{v:>16.4g}" for v in row) for seed, row in rows]
+    return "\n".join(lines) + "\n"
+
+
+def _number(value: float | dict[str, int]) -> float:
+    """Violations count together."""
+    return float(sum(value.values())) if isinstance(value, dict) else value

@@ -25,7 +25,7 @@ from follow.camera import Camera, CameraError
 from follow.messages import Frame
 
 IMAGE_SUFFIXES = frozenset({".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp"})
-FOLDER_FPS = 30.0  # image folders do not say; the commonest rate of the published UAV sequences
+FOLDER_FPS = 30.0  # image folders seldom say; the commonest rate of the published UAV sequences
 LONGEST_GAP_S = 10.0  # a longer hole in numbers or time stamps is a cut, not lost pictures
 DECODE_ATTEMPTS = 64  # failed reads in a row after which a file is taken to have ended: two seconds at 30 pictures/s
 ROUND_S = 1 / 20  # live: a round at least this often; PX4 drops OFFBOARD below 2 Hz, 20 Hz is MAVLink's usual rate
@@ -53,10 +53,16 @@ def open_replay(source: str, fps: float | None, report: Report) -> Replay:
         raise CameraError(f"pictures per second must lie in 0..1000, not {fps:g}")
     path = Path(source)
     if path.is_dir():
-        return ImageFolder(path, fps or FOLDER_FPS, report)
+        return ImageFolder(path, fps or named_fps(path) or FOLDER_FPS, report)
     if path.is_file():
         return VideoFile(path, fps, report)
     raise CameraError(f"{source!r} is neither a video file nor a folder of images")
+
+
+def named_fps(folder: Path) -> float | None:
+    """The rate that a folder's path tells, as in UAV123_10fps/building5; None where it tells none."""
+    told = re.findall(r"(?<![0-9])([1-9][0-9]{0,2}) ?fps", str(folder), re.IGNORECASE)
+    return float(told[-1]) if told else None
 
 
 def is_live(source: str) -> bool:

@@ -14,7 +14,7 @@ SIM_MAY_SEE = {
     "follow.camera",
     "racf.box",
 }
-WIRING = {"follow/cli.py"}  # the only files that build a camera and a link
+WIRING = {"follow/cli_replay.py", "follow/cli_run.py", "follow/cli_sim.py"}  # the only files that build both seams
 
 
 def imports(path: Path) -> set[str]:

@@ -1,0 +1,111 @@
+"""`follow run`: a real camera or a drawn scene, and a vehicle behind a MAVLink connection."""
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from follow.camera import Camera
+from follow.commands import Run, box_of
+from follow.flight import Parts, RealTime, Spoken, preflight, unwaived
+from follow.flight import fly as fly_parts
+from follow.geometry import Intrinsics
+from follow.link import Link
+from follow.messages import Autopilot, Tick
+from follow.operator import Operator
+from follow.pymavlink_link import connect
+from follow.record import Recorder
+from follow.servo import Servo
+from follow.session import acquire, conclude, gate
+from follow.signing import Signing
+from follow.summary import Figures
+from follow.target import Target
+from follow.terminal import Terminal
+from follow.tlog import Tlog
+from follow.video import LiveVideo, is_live, open_replay
+from racf.box import Box
+from racf.commandline import UsageError
+from racf.tracker import warm_up
+from sim.scenarios import SCENARIOS, build_live
+
+SCENE = "scene:"
+VEHICLE_S = 30.0  # an autopilot boots in less
+
+@dataclass(frozen=True, slots=True)
+class Eye:
+    """An open camera and what must be known of it to fly by it."""
+
+    camera: Camera
+    lens: Intrinsics
+    down_rad: float
+    target: Box
+    truth: Callable[[Tick], Box | None] = lambda _tick: None
+
+
+def eye(command: Run, link: Link, report: Callable[[str], None]) -> Eye:
+    """The camera that the command names; a scene is drawn as seen from where the link says that the vehicle is."""
+    if command.camera.startswith(SCENE):
+        return scene_eye(command, link)
+    if command.target is None:
+        raise UsageError("what is to be followed? give --target x,y,w,h")
+    if is_live(command.camera):
+        camera = LiveVideo(command.camera, report)
+    else:
+        camera = RealTime(open_replay(command.camera, None, report))
+    mount = command.config.camera
+    return Eye(camera, mount.intrinsics(*camera.size), mount.down_rad, box_of(command.target))
+
+
+def scene_eye(command: Run, link: Link) -> Eye:
+    """A drawn scene of as long a flight as is asked for, with its own target when no other is named."""
+    name = command.camera.removeprefix(SCENE)
+    scenario = SCENARIOS.get(name)
+    if scenario is None:
+        raise UsageError(f"there is no scene {name!r}; there are {', '.join(SCENARIOS)}")
+    scenario = replace(scenario, duration_s=max(command.seconds, scenario.duration_s))
+    camera, _ = build_live(scenario, command.seed, link.state().autopilot or Autopilot.PX4, link)
+    target = box_of(command.target) if command.target is not None else camera.first()[1]
+
+    def true_box(tick: Tick) -> Box | None:
+        return None if tick.frame is None else camera.truth(tick.frame.index).box
+
+    return Eye(camera, camera.settings.intrinsics, camera.settings.down_rad, target, true_box)
+
+
+def fly_live(command: Run) -> None:
+    """`follow run`."""
+    terminal = Terminal()
+    spoken = Spoken(terminal.report)
+    log = logging.getLogger("follow")
+    log.addHandler(spoken)
+    log.setLevel(logging.INFO)
+    config = command.config
+    terminal.report(f"tracker warm after {warm_up():.1f} s")
+    about = f"# follow run {command.link} {command.camera}\n\ntracker {command.tracker}"
+    with Recorder(command.out, config.record, terminal.report, waits=False, about=about) as recorder:
+        terminal.listeners.append(recorder.message)
+        signing = Signing(command.signing_key) if command.signing_key else None
+        tlog = Tlog(command.out / "flight.tlog")
+        with connect(command.link, command.system_id, signing=signing, tlog=tlog) as link:
+            link.wait_for_vehicle(VEHICLE_S)
+            findings = preflight(link, command.out, signs=signing is not None)
+            red = unwaived(findings, command.waive, terminal.report)
+            seen = eye(command, link, terminal.report)
+            heard = link.client.heard
+            operator = Operator(terminal.report, command.follow, command.rc_channel, heard, red)
+            with seen.camera as camera:
+                parts = Parts(
+                    camera,
+                    link,
+                    acquire(command.tracker, seen.target),
+                    Target(seen.lens, seen.down_rad, config.target),
+                    Servo(seen.down_rad, config.servo),
+                    gate(config, seen.lens),
+                )
+                fly_parts(parts, operator, recorder, seen.truth, command.seconds)
+            autopilot = link.state().autopilot
+        figures: Figures = {"tracker": command.tracker, "autopilot": autopilot.value if autopilot else ""}
+        figures = recorder.close(figures)
+    log.removeHandler(spoken)
+    conclude(figures, command.out, terminal, as_json=command.json, finished=True)
+
+

@@ -1,0 +1,101 @@
+"""What can be typed after `follow`: each command and its options, as the help shows them."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from follow.config import Config
+from follow.messages import Autopilot
+from racf.box import Box
+from racf.commandline import UsageError
+
+Settings = Annotated[Config, tyro.conf.arg(name="")]
+
+TRACKER = "racf,robust"
+
+
+@dataclass(frozen=True, slots=True)
+class Replay:
+    """A video file or a folder of images through tracker, servo, gate and a link that only pretends to fly."""
+
+    source: tyro.conf.Positional[str]
+    """Video file or folder of images."""
+    target: str | None = None
+    """What to follow: x,y,w,h in 0-based pixels of the first picture."""
+    truth: Path | None = None
+    """A benchmark's boxes, x,y,w,h in 1-based pixels: the first row starts the tracker, which is then scored."""
+    ptz: bool = False
+    """Let yaw rate and climb move a window over the footage, so that bad control loses the target."""
+    fps: float | None = None
+    """Pictures per second; a video says it itself, a folder is taken to have 30."""
+    tracker: str = TRACKER
+    """Tracker by name, with settings: racf, racf-, racf--, bacf, arcf-hc; e.g. racf-,robust."""
+    autopilot: Autopilot = Autopilot.PX4
+    """Whose rules the pretended vehicle obeys."""
+    out: Path = Path("out/replay")
+    """Folder of flight.rrd, ticks.csv and summary.json."""
+    json: bool = False
+    """Print the summary as JSON on standard output."""
+    config: Settings = field(default_factory=Config)
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """Fly: follow a target with a vehicle that is already in the air.
+
+    Nothing is sent until FOLLOW is ordered: by --follow, by the key f, by SIGUSR1 or by a switch.  The key o, the
+    switch, a moved stick or any change of mode ends it; q, Ctrl-C and SIGTERM leave the vehicle in Hold or BRAKE.
+    """
+
+    link: str
+    """udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, serial:DEVICE:BAUD; mavsdk+udpin://HOST:PORT for MAVSDK."""
+    camera: str = "0"
+    """A device (0, /dev/video0), a stream (rtsp://...), a file, or scene:NAME: a drawn scene seen from the vehicle."""
+    target: str | None = None
+    """What to follow: x,y,w,h in 0-based pixels of the first picture; a scene knows its own."""
+    follow: bool = False
+    """Order FOLLOW as soon as every check is green, once."""
+    rc_channel: Annotated[int | None, tyro.conf.arg(metavar="1-18")] = None
+    """Channel of the remote control whose switch orders FOLLOW (up) and OBSERVE (down)."""
+    waive: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """Follow although this check of `follow doctor` is red, repeatable."""
+    system_id: int | None = None
+    """The vehicle's MAVLink system id; the first vehicle heard when not given."""
+    signing_key: Path | None = None
+    """File of the MAVLink 2 signing key: 32 bytes, readable by its owner only."""
+    seconds: float = 0.0
+    """End after this time; 0 flies until stopped."""
+    seed: int = 0
+    """Of a drawn scene."""
+    tracker: str = TRACKER
+    """Tracker by name, with settings: racf, racf-, racf--, bacf, arcf-hc; e.g. racf,robust,cell=4."""
+    out: Path = Path("out/run")
+    """Folder of flight.rrd, flight.tlog, ticks.csv and summary.json."""
+    json: bool = False
+    """Print the summary as JSON on standard output."""
+    config: Settings = field(default_factory=Config)
+
+
+@dataclass(frozen=True, slots=True)
+class Inspect:
+    """Open a recording in Rerun's viewer."""
+
+    recording: tyro.conf.Positional[Path]
+    """The folder of a flight, or its flight.rrd."""
+
+
+Command = (
+    Annotated[Replay, tyro.conf.subcommand("replay")]
+    | Annotated[Run, tyro.conf.subcommand("run")]
+    | Annotated[Inspect, tyro.conf.subcommand("inspect")]
+)  # fmt: skip
+
+
+def box_of(text: str) -> Box:
+    """A box from the command line; raises UsageError."""
+    try:
+        return Box.parse(text)
+    except ValueError as error:
+        raise UsageError(f"--target: {error}") from None
