@@ -30,6 +30,7 @@ from sim.scenarios import SCENARIOS, build_live
 SCENE = "scene:"
 VEHICLE_S = 30.0  # an autopilot boots in less
 
+
 @dataclass(frozen=True, slots=True)
 class Eye:
     """An open camera and what must be known of it to fly by it."""
@@ -107,5 +108,3 @@ def fly_live(command: Run) -> None:
         figures = recorder.close(figures)
     log.removeHandler(spoken)
     conclude(figures, command.out, terminal, as_json=command.json, finished=True)
-
-
