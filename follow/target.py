@@ -30,15 +30,15 @@ class TargetConfig:
     bearing_std_rad: float = 0.02  # 1 degree: attitude error of a small autopilot, plus two pixels of the tracker's
     box_relative_std: float = 0.1  # apparent size: RACF's scale steps are 3 %, aspect changes more
     speed_std_m_s: float = 3.0  # of the first guess: a runner
-    accel_std_m_s2: float = (
-        4.0  # a runner's start (2 m/s2), a cyclist's turn (2.5), with margin: lag costs more than noise
-    )
+    accel_psd: float = 0.5  # m²/s³: a cyclist's turn (2.5 m/s2) kept up for 0.1 s; less lags more than it calms
     minimum_height_m: float = 1.0  # below it flat ground says nothing of range
     gate_sigmas: float = 4.0  # a box further off than this is not the target ...
     gate_size: float = 2.0  # ... nor one so many times larger or smaller than expected
     lost_after_s: float = 0.5  # unseen for so long, a box must prove itself ...
     confirm: int = 3  # ... in so many pictures in a row
-    coast_s: float = 6.0  # time constant by which an unseen target is thought to slow down
+    regain_psr: float = 0.6  # ... each with so much of the sharpness (PSR) that the target used to have
+    psr_rate: float = 0.02  # ... a running mean over about two seconds of what was accepted
+    coast_s: float = 10.0  # time constant by which an unseen target is thought to slow down
     wait_s: float = 0.1  # a box waits so long for the attitude of its time; as old as the gate lets attitude be
     compensate: bool = True  # use the pose at the picture's time and predict over the delay
 
@@ -65,15 +65,17 @@ class Place:
     slant_std_m: float
 
 
-def predicted(f: Filter, t_s: float, accel_std_m_s2: float) -> Filter:
-    """The filter carried to `t_s` under white acceleration (Bar-Shalom, 2001, §6.2); backward in time it stays."""
+def predicted(f: Filter, t_s: float, accel_psd: float) -> Filter:
+    """The filter carried to `t_s` under white acceleration of that density, m²/s³; backward in time it stays.
+
+    Q = q [[t³/3, t²/2], [t²/2, t]] on each axis (Bar-Shalom et al., 2001, §6.2.2), so one long step is many short ones.
+    """
     dt = t_s - f.t_s
     if dt <= 0:
         return f
     step = np.eye(4)
     step[0, 2] = step[1, 3] = dt
-    push = np.array([[dt * dt / 2, 0], [0, dt * dt / 2], [dt, 0], [0, dt]])
-    noise = push @ push.T * accel_std_m_s2**2
+    noise = accel_psd * np.kron([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]], np.eye(2))
     return Filter(t_s, step @ f.mean, step @ f.covariance @ step.T + noise, f.size_m, f.size_var)
 
 
@@ -129,6 +131,7 @@ class Target:
     box: Box | None = None
     seen_t_s: float = NEVER
     proofs: int = 0
+    usual_psr: float = 0.0
     waiting: deque[tuple[float, Track]] = field(default_factory=lambda: deque[tuple[float, Track]](maxlen=16))
 
     def predict(self, state: VehicleState, t_s: float) -> Box | None:
@@ -152,7 +155,7 @@ class Target:
             self.waiting.append((t_s, track))
         while self.waiting and self.readable(self.waiting[0][0], state):
             t_s, track = self.waiting.popleft()
-            if not (track.found and self.accept(track.box, t_s, self.pose(state, t_s))):
+            if not (track.found and self.accept(track, t_s, self.pose(state, t_s))):
                 self.proofs = 0
         return self.estimate(state)
 
@@ -166,12 +169,12 @@ class Target:
         known = not self.config.compensate or state.attitude_t_s >= t_s
         return known or not 0 <= late_s < self.config.wait_s or state.attitude_t_s == NEVER
 
-    def accept(self, box: Box, t_s: float, pose: Pose) -> bool:
+    def accept(self, track: Track, t_s: float, pose: Pose) -> bool:
         """Whether the box is where and as large as the target should be; if so it corrects the filter.
 
-        After a loss it does so only once it was right `confirm` times in a row.
+        After a loss it does so only once it was right, and sharp, `confirm` times in a row.
         """
-        c = self.config
+        c, box = self.config, track.box
         if self.filter is None:
             size_var = (c.size_relative_std * c.size_m) ** 2
             place = self.place(box, pose, c.size_m, size_var)
@@ -186,11 +189,15 @@ class Target:
             place = self.place(box, pose, f.size_m, f.size_var)
             if not self.plausible(f, place, box, pose):
                 return False
-            if t_s - self.seen_t_s > c.lost_after_s and self.proofs + 1 < c.confirm:
+            if t_s - self.seen_t_s > c.lost_after_s:
+                if track.psr < c.regain_psr * self.usual_psr:
+                    return False
                 self.proofs += 1
-                return True
+                if self.proofs < c.confirm:
+                    return True
             self.filter = corrected(f, place.ground, place.covariance)
         self.filter = resized(self.filter, place, c.box_relative_std)
+        self.usual_psr += (c.psr_rate if self.usual_psr else 1.0) * (track.psr - self.usual_psr)
         self.box, self.seen_t_s, self.proofs = box, t_s, 0
         return True
 
@@ -218,7 +225,7 @@ class Target:
         """The filter at `t_s`.  A target unseen for longer than `lost_after_s` is thought to slow down."""
         assert self.filter is not None
         c = self.config
-        f = predicted(self.filter, t_s, c.accel_std_m_s2)
+        f = predicted(self.filter, t_s, c.accel_psd)
         unseen = f.t_s - self.filter.t_s - c.lost_after_s
         if unseen <= 0:
             return f

@@ -7,7 +7,7 @@ import pytest
 from follow.geometry import Intrinsics, camera_to_ned, project
 from follow.messages import NEVER, VehicleState
 from follow.motion import Motion
-from follow.target import Target, TargetConfig
+from follow.target import Target, TargetConfig, predicted
 from racf.box import Box
 from racf.track import Track
 
@@ -172,5 +172,24 @@ def test_an_unseen_target_walks_on_slower_and_slower_and_not_for_ever():
     watch(target, lambda t: (12.0 + 1.5 * t, 0.0), [hovering(i * DT) for i in range(90)])
     at = [target.update(None, hovering(3.0 + s), 89 * DT).range_m for s in (0.0, 2.0, 60.0, 120.0)]
     assert at[1] - at[0] == pytest.approx(2.0 * 1.5, rel=0.15)
-    assert at[3] - at[0] < 1.5 * 8.0
+    assert at[3] - at[0] < 1.5 * 11.0
     assert at[3] == pytest.approx(at[2], abs=0.1)
+
+
+def test_after_a_loss_a_blurred_box_is_not_believed():
+    target = Target(CAMERA, DOWN)
+    watch(target, lambda t: (12.0, 0.0), [hovering(i * DT) for i in range(60)])
+    for i in range(100, 130):
+        state = hovering(i * DT)
+        estimate = target.update(replace(seen(box_of((12.0, 0.0), state)), psr=8.0), state, i * DT)
+    assert estimate.seen_t_s == 59 * DT
+
+
+def test_uncertainty_after_a_wait_does_not_depend_on_how_often_one_looked():
+    once, often = Target(CAMERA, DOWN), Target(CAMERA, DOWN)
+    for target in (once, often):
+        watch(target, lambda t: (12.0, 0.0), [hovering(i * DT) for i in range(30)])
+    f, step = once.filter, 1 / 3
+    for i in range(1, 7):
+        f = predicted(f, once.filter.t_s + i * step, 0.5)
+    np.testing.assert_allclose(f.covariance, predicted(often.filter, f.t_s, 0.5).covariance, rtol=1e-9)
