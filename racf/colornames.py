@@ -19,6 +19,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+UInt8 = NDArray[np.uint8]
 Float32 = NDArray[np.float32]
 
 TERMS = ("black", "blue", "brown", "grey", "green", "orange", "pink", "purple", "red", "white", "yellow")
@@ -32,6 +33,7 @@ KIN = {
 SIGMA_LAB = 10.0  # about the spread of what one common name is used for
 LEVELS = 32  # per channel of the table: 8 grey levels a step, as usual for colour-name tables
 CHANNELS = len(TERMS) - 1
+PADDED = 16  # numbers a row of the compiled kernel's table
 
 
 def _survey() -> dict[str, str]:
@@ -58,7 +60,7 @@ def _term(name: str) -> str | None:
     return None
 
 
-def _lab(bgr: NDArray[np.uint8]) -> Float32:
+def _lab(bgr: UInt8) -> Float32:
     """CIE Lab (L in 0..100) of (N, 3) BGR bytes."""
     scaled = bgr.reshape(1, -1, 3).astype(np.float32) / np.float32(255)
     return np.asarray(cv2.cvtColor(scaled, cv2.COLOR_BGR2Lab), dtype=np.float32)[0]
@@ -95,29 +97,37 @@ def table() -> Float32:
     return np.ascontiguousarray(probabilities() @ basis.astype(np.float32))
 
 
-def colour_names_numpy(patch: NDArray[np.uint8], cell: int, names: Float32) -> Float32:
-    """The equation that `colour_names` compiles: look each pixel up, average over cells.  (H, W, 3) -> (h, w, 10)."""
-    step = 256 // LEVELS
-    b, g, r = (patch[..., i].astype(np.int64) // step for i in range(3))
-    rows, cols = patch.shape[0] // cell, patch.shape[1] // cell
+def colour_names_numpy(patch: UInt8, cell: int, names: Float32) -> Float32:
+    """The equation that `colour_names` compiles: look each pixel up, average over cells.  (3, H, W) -> (h, w, 10)."""
+    b, g, r = (plane.astype(np.int64) // (256 // LEVELS) for plane in patch)
+    rows, cols = patch.shape[1] // cell, patch.shape[2] // cell
     looked_up = names[(b * LEVELS + g) * LEVELS + r][: rows * cell, : cols * cell]
     return np.asarray(looked_up.reshape(rows, cell, cols, cell, -1).mean(axis=(1, 3)), dtype=np.float32)
 
 
+def padded_table() -> Float32:
+    """`table` as `colour_names` wants it, (LEVELS^3, 16): a row is one cache line, added in one instruction."""
+    return np.pad(table(), ((0, 0), (0, PADDED - CHANNELS)))
+
+
 @numba.njit(cache=True, fastmath=True)
-def colour_names(patch: NDArray[np.uint8], cell: int, names: Float32, out: Float32, first: int) -> None:
-    """Write the colour names of (H, W, 3) BGR into `out[..., first:first+10]`; same as `colour_names_numpy`."""
-    step = 256 // LEVELS
-    channels = names.shape[1]
-    share = np.float32(1.0 / (cell * cell))
-    for row in range(out.shape[0]):
-        for col in range(out.shape[1]):
-            total = np.zeros(CHANNELS, np.float32)
-            for y in range(row * cell, (row + 1) * cell):
+def colour_names(patch: UInt8, cell: int, names: Float32, out: Float32, first: int) -> None:
+    """Write the colour names of (3, H, W) BGR into `out[..., first:first+10]`; same as `colour_names_numpy`."""
+    rows, cols, width = out.shape[0], out.shape[1], patch.shape[2]
+    step, share = 256 // LEVELS, np.float32(1.0 / (cell * cell))
+    index, totals = np.empty(width, np.uint32), np.empty((cols, PADDED), np.float32)
+    for row in range(rows):
+        totals[:] = 0
+        for y in range(row * cell, (row + 1) * cell):
+            b, g, r = patch[0, y], patch[1, y], patch[2, y]
+            for x in range(width):
+                index[x] = (np.uint32(b[x] // step) * LEVELS + g[x] // step) * LEVELS + r[x] // step
+            for col in range(cols):
+                total = totals[col]
                 for x in range(col * cell, (col + 1) * cell):
-                    b, g, r = patch[y, x, 0] // step, patch[y, x, 1] // step, patch[y, x, 2] // step
-                    index = (b * LEVELS + g) * LEVELS + r
-                    for k in range(channels):
-                        total[k] += names[index, k]
-            for k in range(channels):
-                out[row, col, first + k] = total[k] * share
+                    name = names[index[x]]
+                    for k in range(PADDED):
+                        total[k] += name[k]
+        for col in range(cols):
+            for k in range(CHANNELS):
+                out[row, col, first + k] = totals[col, k] * share

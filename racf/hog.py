@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 UInt8 = NDArray[np.uint8]
 Float32 = NDArray[np.float32]
+Int32 = NDArray[np.int32]
 
 ORIENTATIONS = 9
 CHANNELS = 3 * ORIENTATIONS + 4
@@ -31,12 +32,12 @@ def orientation_bins() -> UInt8:
 
 
 def gradients_numpy(patch: UInt8) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """dy, dx of the channel with the strongest gradient at each pixel of (H, W, C); border pixels repeat."""
-    padded = np.pad(patch.astype(np.int64), ((1, 1), (1, 1), (0, 0)), mode="edge")
-    dx = padded[1:-1, 2:] - padded[1:-1, :-2]
-    dy = padded[2:, 1:-1] - padded[:-2, 1:-1]
-    best = np.argmax(dx**2 + dy**2, axis=2)[..., None]
-    return np.take_along_axis(dy, best, 2)[..., 0], np.take_along_axis(dx, best, 2)[..., 0]
+    """dy, dx of the channel with the strongest gradient at each pixel of (C, H, W); border pixels repeat."""
+    padded = np.pad(patch.astype(np.int64), ((0, 0), (1, 1), (1, 1)), mode="edge")
+    dx = padded[:, 1:-1, 2:] - padded[:, 1:-1, :-2]
+    dy = padded[:, 2:, 1:-1] - padded[:, :-2, 1:-1]
+    best = np.argmax(dx**2 + dy**2, axis=0)[None]
+    return np.take_along_axis(dy, best, 0)[0], np.take_along_axis(dx, best, 0)[0]
 
 
 def _votes(cells: int, cell: int) -> NDArray[np.float64]:
@@ -47,8 +48,8 @@ def _votes(cells: int, cell: int) -> NDArray[np.float64]:
 
 
 def fhog_numpy(patch: UInt8, cell: int) -> Float32:
-    """The equations that `fhog` compiles.  (H, W, C) -> (H/cell, W/cell, 31)."""
-    rows, cols = patch.shape[0] // cell, patch.shape[1] // cell
+    """The equations that `fhog` compiles.  (C, H, W) -> (H/cell, W/cell, 31)."""
+    rows, cols = patch.shape[1] // cell, patch.shape[2] // cell
     dy, dx = (d[: rows * cell, : cols * cell] for d in gradients_numpy(patch))
     magnitude = np.sqrt(dx**2 + dy**2) / 510
     one_hot = np.eye(2 * ORIENTATIONS)[orientation_bins()[dy + 255, dx + 255]] * magnitude[..., None]
@@ -67,46 +68,66 @@ def fhog_numpy(patch: UInt8, cell: int) -> Float32:
 
 
 @numba.njit(cache=True, fastmath=True)
+def _strongest_gradients(patch: UInt8, y: int, strength: Int32, index: Int32) -> None:
+    """For each pixel of row y of (C, H, W): the gradient's squared strength, and (dy + 255) * 511 + dx + 255."""
+    channels, height, width = patch.shape
+    above, below = max(y - 1, 0), min(y + 1, height - 1)
+    strength[:] = -1
+    for c in range(channels):
+        row, upper, lower = patch[c, y], patch[c, above], patch[c, below]
+        for x in range(1, width - 1):
+            dx, dy = np.int32(row[x + 1]) - np.int32(row[x - 1]), np.int32(lower[x]) - np.int32(upper[x])
+            square = dx * dx + dy * dy
+            better = square > strength[x]
+            strength[x] = square if better else strength[x]
+            index[x] = (dy + 255) * 511 + dx + 255 if better else index[x]
+        for x in (0, width - 1):
+            dx = np.int32(row[min(x + 1, width - 1)]) - np.int32(row[max(x - 1, 0)])
+            dy = np.int32(lower[x]) - np.int32(upper[x])
+            if dx * dx + dy * dy > strength[x]:
+                strength[x], index[x] = dx * dx + dy * dy, (dy + 255) * 511 + dx + 255
+
+
+@numba.njit(cache=True, fastmath=True)
 def _histogram(patch: UInt8, cell: int, bins: UInt8) -> Float32:
     """(rows + 2, cols + 2, 18): bilinear votes, with a margin for those that fall outside."""
-    rows, cols = patch.shape[0] // cell, patch.shape[1] // cell
-    height, width = patch.shape[0], patch.shape[1]
-    histogram = np.zeros((rows + 2, cols + 2, 2 * ORIENTATIONS), np.float32)
-    scale = np.float32(1.0 / 510.0)
+    width, rows, cols = patch.shape[2], patch.shape[1] // cell, patch.shape[2] // cell
+    directions = 2 * ORIENTATIONS
+    histogram = np.zeros((rows + 2, (cols + 2) * directions), np.float32)
+    strength, index = np.empty(width, np.int32), np.empty(width, np.int32)
+    magnitude, place = np.empty(width, np.float32), np.empty(width, np.uint32)
+    at_x = (np.arange(cols * cell) + 0.5) / cell + 0.5
+    share_x = (at_x - np.floor(at_x)).astype(np.float32)
+    first_place = (np.floor(at_x) * directions).astype(np.uint32)
+    bin_of, scale = bins.ravel(), np.float32(1.0 / 510.0)
     for y in range(rows * cell):
-        above, below = max(y - 1, 0), min(y + 1, height - 1)
+        _strongest_gradients(patch, y, strength, index)
+        for x in range(width):
+            magnitude[x] = np.sqrt(np.float32(strength[x])) * scale
+        for x in range(cols * cell):
+            place[x] = first_place[x] + np.uint32(bin_of[index[x]])
         at_y = (y + 0.5) / cell + 0.5
         row = int(at_y)
-        low_y = np.float32(at_y - row)
+        share_y = np.float32(at_y - row)
+        upper, lower = histogram[row], histogram[row + 1]
+        upper_next, lower_next = upper[directions:], lower[directions:]
         for x in range(cols * cell):
-            before, after = max(x - 1, 0), min(x + 1, width - 1)
-            best, dx, dy = -1, 0, 0
-            for c in range(patch.shape[2]):
-                gx = np.int32(patch[y, after, c]) - np.int32(patch[y, before, c])
-                gy = np.int32(patch[below, x, c]) - np.int32(patch[above, x, c])
-                strength = gx * gx + gy * gy
-                if strength > best:
-                    best, dx, dy = strength, gx, gy
-            if best <= 0:
-                continue
-            vote = np.sqrt(np.float32(best)) * scale
-            o = bins[dy + 255, dx + 255]
-            at_x = (x + 0.5) / cell + 0.5
-            col = int(at_x)
-            low_x = np.float32(at_x - col)
-            upper, lower = vote * (1 - low_y), vote * low_y
-            histogram[row, col, o] += upper * (1 - low_x)
-            histogram[row, col + 1, o] += upper * low_x
-            histogram[row + 1, col, o] += lower * (1 - low_x)
-            histogram[row + 1, col + 1, o] += lower * low_x
-    return histogram
+            down = magnitude[x] * share_y
+            up = magnitude[x] - down
+            up_next, down_next = up * share_x[x], down * share_x[x]
+            at = place[x]
+            upper[at] += up - up_next
+            upper_next[at] += up_next
+            lower[at] += down - down_next
+            lower_next[at] += down_next
+    return histogram.reshape(rows + 2, cols + 2, directions)
 
 
 @numba.njit(cache=True, fastmath=True)
 def fhog(patch: UInt8, cell: int, bins: UInt8, out: Float32) -> None:
-    """Write the FHOG of (H, W, C) into `out[..., :31]`, (H/cell, W/cell, >= 31); same as `fhog_numpy`."""
+    """Write the FHOG of (C, H, W) into `out[..., :31]`, (H/cell, W/cell, >= 31); same as `fhog_numpy`."""
     histogram = _histogram(patch, cell, bins)
-    rows, cols = patch.shape[0] // cell, patch.shape[1] // cell
+    rows, cols = patch.shape[1] // cell, patch.shape[2] // cell
     energy = np.zeros((rows + 2, cols + 2), np.float32)
     for r in range(1, rows + 1):
         for c in range(1, cols + 1):

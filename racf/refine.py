@@ -47,8 +47,7 @@ class Refiner:
             return None
         around = box.scaled(CONTEXT)
         patch = resample(image, box.centre_x, box.centre_y, around.w, around.h, size, size)
-        if patch.ndim == 2:
-            patch = np.asarray(cv2.cvtColor(patch, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
+        patch = np.ascontiguousarray(np.broadcast_to(patch, (3, size, size)).transpose(1, 2, 0))
         inner_w, inner_h = (side + min(params.refine_margin_px, MAX_MARGIN * side) for side in (box.w, box.h))
         cols, rows = (round(size * inner / side) for inner, side in ((inner_w, around.w), (inner_h, around.h)))
         left, top = (size - cols) // 2, (size - rows) // 2

@@ -7,13 +7,13 @@ running means; the response over scales is F^-1( sum_d num . zsᶠ / (den + lamb
 import functools
 import math
 
-import cv2
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from racf import hog
 from racf.params import Params
-from racf.patch import shrunk
+from racf.patch import bilinear, shrunk
 
 UInt8 = NDArray[np.uint8]
 Float32 = NDArray[np.float32]
@@ -37,36 +37,24 @@ class ScaleFilter:
         self._window = np.hanning(count + 2)[1:-1].astype(np.float32)[:, None]
         self._waves, self._waves_back = _waves(count)
         self._label_f = (self._waves @ label).astype(np.complex64)[:, None]
-        self._unit_x, self._unit_y = self._unit_maps()
         self._bins = hog.orientation_bins()
         self._num: Complex64 | None = None
         self._den: Float32 | None = None
         self._last: tuple[tuple[float, float, float, float], Complex64] | None = None
 
-    def _unit_maps(self) -> tuple[Float32, Float32]:
-        """(s * h, w): position of each patch pixel, in units of the target's width and height from its centre."""
-        across = (np.arange(self.model_w) + 0.5) / self.model_w - 0.5
-        down = (np.arange(self.model_h) + 0.5) / self.model_h - 0.5
-        unit_x = np.repeat(self.factors, self.model_h)[:, None] * across[None, :]
-        unit_y = (self.factors[:, None] * down[None, :]).reshape(-1, 1) * np.ones((1, self.model_w))
-        return unit_x.astype(np.float32), unit_y.astype(np.float32)
-
     def sample(self, image: UInt8, x: float, y: float, w: float, h: float) -> Complex64:
-        """(s, d) spectrum over scales of the target's windowed FHOG; one remap serves all scales."""
+        """(s, d) spectrum over scales of the target's windowed FHOG; one compiled call serves all scales."""
         key = (x, y, w, h)
         if self._last is not None and self._last[0] == key:
             return self._last[1]
         factor = max(int(min(w / self.model_w, h / self.model_h)), 1)
         reach = float(self.factors[-1])
         source, left, top = shrunk(image, (x - w * reach / 2, y - h * reach / 2, w * reach, h * reach), factor)
-        map_x = self._unit_x * np.float32(w / factor) + np.float32((x - left) / factor - 0.5)
-        map_y = self._unit_y * np.float32(h / factor) + np.float32((y - top) / factor - 0.5)
-        patches = cv2.remap(source, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        layered = np.asarray(patches, dtype=np.uint8).reshape(self.params.scales, self.model_h, self.model_w, -1)
         cell = self.params.cell_px
         out = np.empty((self.params.scales, self.model_h // cell, self.model_w // cell, hog.CHANNELS), np.float32)
-        for patch, cells in zip(layered, out, strict=True):
-            hog.fhog(patch, cell, self._bins, cells)
+        patch = np.empty((source.shape[2], self.model_h, self.model_w), np.uint8)
+        _describe(source, self.factors, ((x - left) / factor, (y - top) / factor, w / factor, h / factor), cell,
+                  self._bins, patch, out)  # fmt: skip
         features = out.reshape(self.params.scales, -1) * self._window
         spectrum = self._waves.astype(np.complex64) @ features
         self._last = (key, spectrum)
@@ -92,6 +80,20 @@ class ScaleFilter:
         rate = np.float32(self.params.scale_learning_rate)
         self._num += rate * (num - self._num)
         self._den += rate * (den - self._den)
+
+
+@numba.njit(cache=True, fastmath=True)
+def _describe(
+    source: UInt8, factors: NDArray[np.float64], target: tuple[float, float, float, float], cell: int,
+    bins: UInt8, patch: UInt8, out: Float32,
+) -> None:  # fmt: skip
+    """FHOG of `target` (centre x, y, w, h) at each scale into `out` (s, rows, cols, 31); `patch` is scratch."""
+    x, y, w, h = target
+    for i in range(factors.size):
+        step_x, step_y = w * factors[i] / patch.shape[2], h * factors[i] / patch.shape[1]
+        first_x, first_y = x - step_x * (patch.shape[2] - 1) / 2 - 0.5, y - step_y * (patch.shape[1] - 1) / 2 - 0.5
+        bilinear(source, first_x, step_x, first_y, step_y, patch)
+        hog.fhog(patch, cell, bins, out[i])
 
 
 @functools.lru_cache(maxsize=4)

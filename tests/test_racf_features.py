@@ -1,26 +1,27 @@
 """Compiled feature kernels against their numpy equations and independent facts."""
 
+import cv2
 import numpy as np
 import pytest
 
-from racf import colornames, hog
+from racf import colornames, hog, patch
 from racf.features import Features
 
 
 @pytest.mark.parametrize("channels", [1, 3])
 @pytest.mark.parametrize("size", [(24, 32), (40, 20)])
 def test_compiled_fhog_equals_the_numpy_equations(channels, size):
-    patch = np.random.default_rng(0).integers(0, 256, (*size, channels), dtype=np.uint8)
+    pixels = np.random.default_rng(0).integers(0, 256, (channels, *size), dtype=np.uint8)
     out = np.empty((size[0] // 4, size[1] // 4, hog.CHANNELS), np.float32)
-    hog.fhog(patch, 4, hog.orientation_bins(), out)
-    np.testing.assert_allclose(out, hog.fhog_numpy(patch, 4), atol=1e-4)
+    hog.fhog(pixels, 4, hog.orientation_bins(), out)
+    np.testing.assert_allclose(out, hog.fhog_numpy(pixels, 4), atol=1e-4)
 
 
 def test_compiled_colour_names_equal_the_numpy_equation():
-    patch = np.random.default_rng(0).integers(0, 256, (24, 32, 3), dtype=np.uint8)
+    pixels = np.random.default_rng(0).integers(0, 256, (3, 24, 32), dtype=np.uint8)
     out = np.empty((6, 8, colornames.CHANNELS), np.float32)
-    colornames.colour_names(patch, 4, colornames.table(), out, 0)
-    np.testing.assert_allclose(out, colornames.colour_names_numpy(patch, 4, colornames.table()), atol=1e-5)
+    colornames.colour_names(pixels, 4, colornames.padded_table(), out, 0)
+    np.testing.assert_allclose(out, colornames.colour_names_numpy(pixels, 4, colornames.table()), atol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -49,8 +50,30 @@ def test_ten_coordinates_keep_the_distances_of_eleven_probabilities():
 
 
 def test_a_flat_patch_has_no_gradients_and_grey_has_no_colour_channels():
-    flat = np.full((40, 40), 200, np.uint8)
+    flat = np.full((1, 40, 40), 200, np.uint8)
     features = Features(10, 10, 4, colour=False).extract(flat)
     assert features.shape == (10, 10, 32)
     assert not features[..., :31].any()
     assert features[5, 5, 31] > 0.2
+
+
+@pytest.mark.parametrize("step", [(0.31, 0.4), (1.0, 1.0), (1.7, 1.9)])
+@pytest.mark.parametrize("first", [(-5.3, 2.2), (10.0, 31.7)])
+def test_compiled_resampling_equals_opencv(step, first):
+    image = np.random.default_rng(1).integers(0, 256, (40, 50, 3), dtype=np.uint8)
+    out = np.empty((3, 16, 20), np.uint8)
+    patch.bilinear(image, first[0], step[0], first[1], step[1], out)
+    map_x, map_y = np.meshgrid(first[0] + step[0] * np.arange(20), first[1] + step[1] * np.arange(16))
+    expected = cv2.remap(
+        image.astype(np.float32), map_x.astype(np.float32), map_y.astype(np.float32), cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_REPLICATE,
+    )  # fmt: skip
+    assert np.abs(out.transpose(1, 2, 0) - expected).max() < 5  # OpenCV rounds places to 1/32 pixel
+
+
+@pytest.mark.parametrize("factor", [1, 3])
+def test_resampling_keeps_places(factor):
+    ramp = np.add.outer(np.zeros(90), np.arange(120) * 2).astype(np.uint8)
+    sampled = patch.resample(ramp, 50.0, 40.0, 20.0 * factor, 20.0 * factor, 20, 20)
+    expected = 2 * (50 - 10 * factor + (np.arange(20) + 0.5) * factor - 0.5)
+    np.testing.assert_allclose(sampled[0, 10], expected, atol=1.01)
