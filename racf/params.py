@@ -53,13 +53,27 @@ class Params:
     refine_min_iou: float = 0.7  # sigma: the paper prints 0.5 [measured]
     refine_iterations: int = 3
     refine_blend: float = 0.5  # share of the segment's box in the answer [measured]
+    refine_renew: int = 10  # frames for which GrabCut's colour models serve [measured]
+    refine_pause: int = 7  # frames skipped, at most, after rejected segments [measured]
     refine_min_target_px: float = 20.0  # smaller targets are too few pixels to segment [measured]
 
     # What the follower needs and the paper lacks
     robust: bool = False  # all of the following; each can be switched off
-    gate_learning: bool = True  # no learning from frames that confidence calls occluded
-    gate_psr: float = 0.85  # ... that is: PSR below this share of its running mean [measured]
+    gate_learning: bool = True  # learn, scale and refine only in frames whose response is clear
+    learn_above: float = 0.6  # ... that is: confidence (PSR and peak over their running means) of at least this
+    lost_below: float = 0.5  # lost below this confidence ...
+    regain_above: float = 0.7  # ... until one of this is met
+    confidence_rate: float = 0.1  # of the running means: a memory of ten clear frames ...
+    confidence_rate_doubtful: float = 0.01  # ... and of a hundred others
     limit_scale: bool = True  # at most one scale step a frame
+    predict_motion: bool = True  # look where the target's smoothed motion says
+    velocity_rate: float = 0.35  # of that motion's running mean [measured]
+    velocity_decay: float = 0.95  # per frame unseen
+    ego_motion: bool = False  # ... and where the camera's own motion says: cost accuracy [measured]
+    coast: bool = True  # a lost target's box follows the prediction, not the response
+    redetect: bool = True  # look further afield for a lost target
+    redetect_places: int = 4  # more places a frame, half a search region apart ...
+    redetect_reach: int = 3  # ... up to this many steps to each side
 
     @classmethod
     def field_types(cls) -> dict[str, type]:

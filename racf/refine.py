@@ -19,6 +19,7 @@ from racf.params import Params
 from racf.patch import resample
 
 UInt8 = NDArray[np.uint8]
+Float64 = NDArray[np.float64]
 
 CONTEXT = 1.5  # side of the picture that GrabCut sees over the box's [Paper]
 MAX_MARGIN = 0.4  # Delta s over the box's side: the paper asks for less than half
@@ -35,33 +36,69 @@ class Refinement:
 
 
 class Refiner:
-    """GrabCut around a box, with the parameters `refine_*`."""
+    """GrabCut around a box, with the parameters `refine_*`; one for each target, since it remembers its colours.
+
+    Learning GrabCut's two colour models takes four times as long as cutting with known ones, and the colours of target
+    and surroundings hardly change from frame to frame: the models are renewed every `refine_renew` frames.  Where
+    segments keep being rejected, trying pays less and less: after k rejections k frames are skipped, at most
+    `refine_pause`.
+    """
 
     def __init__(self, params: Params) -> None:
         self.params = params
+        self._models: tuple[Float64, Float64] | None = None
+        self._age = self._rejected = self._waiting = 0
 
     def refine(self, image: UInt8, box: Box) -> Refinement | None:
-        """A second opinion on `box`; None where the target is too small to be segmented."""
-        params, size = self.params, self.params.refine_size_px
+        """A second opinion on `box`; None where it was not worth asking."""
+        params = self.params
         if math.sqrt(box.area) < params.refine_min_target_px:
             return None
+        if self._waiting > 0:
+            self._waiting -= 1
+            return None
+        refinement = self._segment(image, box)
+        self._rejected = self._rejected + 1 if refinement.box is None else 0
+        self._waiting = min(self._rejected, params.refine_pause)
+        if refinement.box is None:
+            self._models = None
+        return refinement
+
+    def _segment(self, image: UInt8, box: Box) -> Refinement:
+        params, size = self.params, self.params.refine_size_px
         around = box.scaled(CONTEXT)
-        patch = resample(image, box.centre_x, box.centre_y, around.w, around.h, size, size)
-        patch = np.ascontiguousarray(np.broadcast_to(patch, (3, size, size)).transpose(1, 2, 0))
+        planes = resample(image, box.centre_x, box.centre_y, around.w, around.h, size, size)
+        patch = np.ascontiguousarray(np.broadcast_to(planes, (3, size, size)).transpose(1, 2, 0))
         inner_w, inner_h = (side + min(params.refine_margin_px, MAX_MARGIN * side) for side in (box.w, box.h))
-        cols, rows = (round(size * inner / side) for inner, side in ((inner_w, around.w), (inner_h, around.h)))
+        cols, rows = round(size * inner_w / around.w), round(size * inner_h / around.h)
         left, top = (size - cols) // 2, (size - rows) // 2
-        mask = _largest_segment(patch, (left, top, cols, rows), params.refine_iterations)
-        segment = _bounds(mask)
-        if segment is None:
+        mask = _largest_segment(self._cut(patch, (left, top, cols, rows)))
+        if not mask.any():
             return Refinement(None, None, mask, around)
-        x, y, w, h = segment
+        x, y, w, h = cv2.boundingRect(mask)
         step_x, step_y = around.w / size, around.h / size
-        found = Box(around.x + x * step_x, around.y + y * step_y, w * step_x, h * step_y)
-        inside = x > left and y > top and x + w < left + cols and y + h < top + rows
-        if not inside or found.iou(box) <= params.refine_min_iou:
-            return Refinement(None, found, mask, around)
-        return Refinement(blend(box, found, params.refine_blend), found, mask, around)
+        segment = Box(around.x + x * step_x, around.y + y * step_y, w * step_x, h * step_y)
+        # A segment that reaches the border of what may be foreground was cut off there: its extent is unknown.
+        whole = x > left and y > top and x + w < left + cols and y + h < top + rows
+        if not whole or segment.iou(box) <= params.refine_min_iou:
+            return Refinement(None, segment, mask, around)
+        return Refinement(blend(box, segment, params.refine_blend), segment, mask, around)
+
+    def _cut(self, patch: UInt8, inner: tuple[int, int, int, int]) -> UInt8:
+        """0/1 foreground of (s, s, 3), all of it inside `inner` (x, y, w, h)."""
+        params = self.params
+        labels = np.full(patch.shape[:2], cv2.GC_BGD, np.uint8)
+        if self._models is not None and self._age < params.refine_renew:
+            self._age += 1
+            x, y, w, h = inner
+            labels[y : y + h, x : x + w] = cv2.GC_PR_FGD
+            cv2.grabCut(patch, labels, inner, *self._models, 1, cv2.GC_EVAL_FREEZE_MODEL)
+        else:
+            # OpenCV seeds the colour models from its global generator: the same pictures must give the same masks.
+            cv2.setRNGSeed(0)
+            self._models, self._age = (np.zeros((1, 65)), np.zeros((1, 65))), 1
+            cv2.grabCut(patch, labels, inner, *self._models, params.refine_iterations, cv2.GC_INIT_WITH_RECT)
+        return np.bitwise_and(labels, np.uint8(1), dtype=np.uint8)
 
 
 def blend(box: Box, other: Box, share: float) -> Box:
@@ -73,27 +110,13 @@ def blend(box: Box, other: Box, share: float) -> Box:
     return Box(*mix)
 
 
-def _largest_segment(patch: UInt8, inner: tuple[int, int, int, int], iterations: int) -> UInt8:
-    """0/1 mask of GrabCut's largest connected foreground inside `inner` (x, y, w, h)."""
-    labels = np.full(patch.shape[:2], cv2.GC_BGD, np.uint8)
-    # GrabCut seeds its colour models from cv2's global generator: the same picture must give the same mask.
-    cv2.setRNGSeed(0)
-    models = np.zeros((1, 65)), np.zeros((1, 65))
-    cv2.grabCut(patch, labels, inner, models[0], models[1], iterations, cv2.GC_INIT_WITH_RECT)
-    foreground = np.asarray(labels & 1, dtype=np.uint8)
+def _largest_segment(foreground: UInt8) -> UInt8:
+    """The largest connected part of a 0/1 mask."""
     _, components, stats, _ = cv2.connectedComponentsWithStats(foreground, connectivity=8)
     if len(stats) == 1:
         return foreground
     largest = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
     return (components == largest).astype(np.uint8)
-
-
-def _bounds(mask: UInt8) -> tuple[int, int, int, int] | None:
-    """x, y, w, h of the smallest box around the mask; None if it is empty."""
-    if not mask.any():
-        return None
-    x, y, w, h = cv2.boundingRect(mask)
-    return x, y, w, h
 
 
 class OpenCvTracker(Protocol):

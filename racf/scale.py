@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from racf import hog
+from racf.box import Box
 from racf.params import Params
 from racf.patch import bilinear, shrunk
 
@@ -40,13 +41,11 @@ class ScaleFilter:
         self._bins = hog.orientation_bins()
         self._num: Complex64 | None = None
         self._den: Float32 | None = None
-        self._last: tuple[tuple[float, float, float, float], Complex64] | None = None
+        self._at_hand: tuple[Box, Complex64] | None = None
 
-    def sample(self, image: UInt8, x: float, y: float, w: float, h: float) -> Complex64:
+    def sample(self, image: UInt8, box: Box) -> Complex64:
         """(s, d) spectrum over scales of the target's windowed FHOG; one compiled call serves all scales."""
-        key = (x, y, w, h)
-        if self._last is not None and self._last[0] == key:
-            return self._last[1]
+        x, y, w, h = box.centre_x, box.centre_y, box.w, box.h
         factor = max(int(min(w / self.model_w, h / self.model_h)), 1)
         reach = float(self.factors[-1])
         source, left, top = shrunk(image, (x - w * reach / 2, y - h * reach / 2, w * reach, h * reach), factor)
@@ -56,22 +55,23 @@ class ScaleFilter:
         _describe(source, self.factors, ((x - left) / factor, (y - top) / factor, w / factor, h / factor), cell,
                   self._bins, patch, out)  # fmt: skip
         features = out.reshape(self.params.scales, -1) * self._window
-        spectrum = self._waves.astype(np.complex64) @ features
-        self._last = (key, spectrum)
-        return spectrum
+        return self._waves.astype(np.complex64) @ features
 
-    def estimate(self, image: UInt8, x: float, y: float, w: float, h: float) -> int:
+    def estimate(self, image: UInt8, box: Box) -> int:
         """How many steps of `scale_step` the target's size changed: the response's maximum."""
         if self._num is None or self._den is None:
             return 0
-        sample_f = self.sample(image, x, y, w, h)
+        sample_f = self.sample(image, box)
+        self._at_hand = (box, sample_f)
         response_f = np.sum(self._num * sample_f, axis=1) / (self._den + self.params.scale_ridge)
         response = (self._waves_back @ response_f).real
         return int(np.argmax(response)) - self.params.scales // 2
 
-    def learn(self, image: UInt8, x: float, y: float, w: float, h: float) -> None:
+    def learn(self, image: UInt8, box: Box) -> None:
         """Take the target at this place and size into the running means."""
-        sample_f = self.sample(image, x, y, w, h)
+        # Where the estimate left the box as it was, its sample of this same picture is at hand.
+        at_hand, self._at_hand = self._at_hand, None
+        sample_f = at_hand[1] if at_hand is not None and at_hand[0] == box else self.sample(image, box)
         num = self._label_f * sample_f.conj()
         den = np.sum(np.abs(sample_f) ** 2, axis=1)
         if self._num is None or self._den is None:

@@ -1,0 +1,52 @@
+"""Whether a response can be believed, against what this target's responses have been like.
+
+PSR depends on the target and its surroundings (5 for a dozen pixels, 15 for a striking cyclist), so a fixed threshold
+cannot serve; the ratio to its own running mean can.  The same holds for the response's peak over the model's own.
+"""
+
+import math
+from enum import Enum
+
+from racf.params import Params
+
+
+class Verdict(Enum):
+    """What a frame's response allows: learn from it; follow it, without learning; or neither."""
+
+    CLEAR = "clear"
+    DOUBTFUL = "doubtful"
+    LOST = "lost"
+
+
+class Confidence:
+    """Running means of PSR and peak, and the verdicts that follow from them."""
+
+    def __init__(self, params: Params) -> None:
+        self.params = params
+        self.lost_frames = 0
+        self._psr = self._value = 0.0
+
+    def ratio(self, psr: float, value: float) -> float:
+        """The geometric mean of both over their running means, in 0..1."""
+        if self._psr <= 0 or self._value <= 0:
+            return 1.0
+        return min(math.sqrt(max(psr / self._psr, 0.0) * max(value / self._value, 0.0)), 1.0)
+
+    def judge(self, psr: float, value: float) -> Verdict:
+        """The verdict on a frame.  Once lost, only a response as clear as `regain_above` finds again.
+
+        Clear frames make the running means.  Others count too, though slowly: a target that stays changed becomes
+        normal in the end.
+        """
+        params, ratio = self.params, self.ratio(psr, value)
+        if self.lost_frames:
+            self.lost_frames = 0 if ratio >= params.regain_above else self.lost_frames + 1
+        elif ratio < params.lost_below:
+            self.lost_frames = 1
+        clear = ratio >= params.learn_above and not self.lost_frames
+        rate = params.confidence_rate if clear else params.confidence_rate_doubtful
+        self._psr += (rate if self._psr > 0 else 1.0) * (psr - self._psr)
+        self._value += (rate if self._value > 0 else 1.0) * (value - self._value)
+        if self.lost_frames:
+            return Verdict.LOST
+        return Verdict.CLEAR if clear else Verdict.DOUBTFUL

@@ -1,0 +1,48 @@
+"""Looking for a lost target further afield, a few places a frame, and making sure that it is the target."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from racf.box import Box
+from racf.confidence import Confidence, Verdict
+from racf.params import Params
+from racf.translation import Match, TranslationFilter
+
+UInt8 = NDArray[np.uint8]
+
+
+class Redetection:
+    """Places around the expected one, nearest first; each lost frame looks at the next few of them."""
+
+    def __init__(self, params: Params) -> None:
+        self.params = params
+        reach = params.redetect_reach
+        steps = [(i, j) for i in range(-reach, reach + 1) for j in range(-reach, reach + 1) if (i, j) != (0, 0)]
+        self._places = sorted(steps, key=lambda step: math.hypot(*step))
+        self._next = 0
+
+    def search(
+        self, image: UInt8, expected: Box, here: Match, translation: TranslationFilter, confidence: Confidence
+    ) -> tuple[Match, Verdict]:
+        """The first believable match among this frame's places, else `here`."""
+        if confidence.lost_frames <= 1:
+            self._next = 0
+        rows, cols = image.shape[:2]
+        step = translation.region(expected).w / 2
+        for _ in range(self.params.redetect_places):
+            i, j = self._places[self._next]
+            self._next = (self._next + 1) % len(self._places)
+            place = expected.moved(i * step, j * step)
+            if not (0 <= place.centre_x < cols and 0 <= place.centre_y < rows):
+                continue
+            first = translation.locate(image, place)
+            if confidence.ratio(first.psr, first.value) < self.params.lost_below:
+                continue
+            # A second look, centred: the cosine window no longer dims the candidate, its surroundings are whole.
+            again = translation.locate(image, first.box)
+            if confidence.ratio(again.psr, again.value) >= self.params.regain_above:
+                confidence.lost_frames = 0
+                return again, Verdict.CLEAR
+        return here, Verdict.LOST

@@ -1,0 +1,114 @@
+"""The translation filter with what it needs around it: sample, features, label, model; learns and localises."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from racf import response as responses
+from racf.box import Box
+from racf.features import Features
+from racf.filter import Learned, learn
+from racf.fourier import Grid
+from racf.params import Params
+from racf.patch import resample
+
+UInt8 = NDArray[np.uint8]
+Float32 = NDArray[np.float32]
+Complex64 = NDArray[np.complex64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Match:
+    """Where the filter answers most: the box moved there, the response and how sharp it is.
+
+    `value` is the response's peak; 1 is what the filter answers to the model it was learned from.
+    """
+
+    box: Box
+    response: Float32
+    value: float
+    psr: float
+    apce: float
+
+
+class TranslationFilter:
+    """Learned on a target box, answers where that box went.  Sizes in cells are fixed by the first box."""
+
+    def __init__(self, params: Params, first: Box, colour: bool) -> None:
+        self.params, cell = params, params.cell_px
+        side = math.sqrt(first.area) * params.search_area
+        cells = round(min(max(side, params.sample_min_px), params.sample_max_px) / cell)
+        self._features = Features(cells, cells, cell, colour)
+        self._target_cells = (first.w * cells / side, first.h * cells / side)
+        support = [min(max(math.floor(n), 1), cells) for n in self._target_cells]
+        self._grid = Grid(cells, cells, (support[1], support[0]))
+        sigma = math.sqrt(self._target_cells[0] * self._target_cells[1]) * params.label_sigma
+        shift = np.fft.fftfreq(cells, 1 / cells)
+        label = np.exp(-0.5 * (shift[:, None] ** 2 + shift[None, :] ** 2) / sigma**2).astype(np.float32)
+        label_f = np.fft.rfft2(label)
+        self._label_f = np.stack([label_f.real, label_f.imag]).astype(np.float32)
+        self._model_f: Float32 | None = None
+        self._sample_f: Float32 | None = None
+        self._learned: Learned | None = None
+        self._response_f: Complex64 | None = None
+        self._self_response = 1.0
+
+    def region(self, box: Box) -> Box:
+        """The square that is looked at around a box."""
+        side = math.sqrt(box.area) * self.params.search_area
+        return Box.around(box.centre_x, box.centre_y, side, side)
+
+    def sample(self, image: UInt8, box: Box) -> Float32:
+        """(2, H, Wf, D): spectrum of the windowed features around a box."""
+        region, size = self.region(box), self._grid.rows * self.params.cell_px
+        patch = resample(image, region.centre_x, region.centre_y, region.w, region.h, size, size)
+        return self._grid.forward(self._features.extract(patch))
+
+    def _correlate(self, z_f: Float32) -> Complex64:
+        assert self._learned is not None, "learn comes before locate"
+        grid = self._grid
+        out = np.empty(grid.rows * grid.half, np.complex64)
+        responses.correlate(z_f.reshape(2, out.size, -1), self._learned.g_f.reshape(2, out.size, -1), out)
+        return out.reshape(grid.rows, grid.half)
+
+    def locate(self, image: UInt8, box: Box) -> Match:
+        """Look for the target in the region around `box` (its size is taken as known)."""
+        grid = self._grid
+        response_f = self._correlate(self.sample(image, box))
+        response = responses.response_map(response_f, (grid.rows, grid.cols))
+        row, col = (int(i) for i in np.unravel_index(int(np.argmax(response)), response.shape))
+        start = float(row - grid.rows // 2), float(col - grid.cols // 2)
+        dy, dx = responses.refine_peak(response_f, grid.cols, *start, self.params.newton_iterations)
+        psr, apce = responses.sharpness(response, self._target_cells)
+        self._response_f = response_f
+        per_cell = self.region(box).w / grid.cols
+        response /= np.float32(self._self_response)
+        return Match(box.moved(dx * per_cell, dy * per_cell), response, float(response[row, col]), psr, apce)
+
+    def learn(self, image: UInt8, box: Box) -> None:
+        """Take the target at `box` into the model and learn the filter anew."""
+        params, before = self.params, self._model_f
+        sample_f = self.sample(image, box)
+        model_f = sample_f if before is None else before + np.float32(params.learning_rate) * (sample_f - before)
+        reference = before if params.residue_to_model else self._sample_f
+        residue_f = np.zeros_like(sample_f) if reference is None else sample_f - reference
+        label_f, gamma = self._label_f, 0.0
+        if params.aberrance > 0 and self._response_f is not None:
+            gamma = params.aberrance
+            label_f = self._label_f + np.float32(gamma) * self._centred_response(self._response_f)
+        previous = None if self._learned is None else self._learned.filter
+        self._learned = learn(self._grid, params, model_f, residue_f, label_f, previous, gamma)
+        self._model_f, self._sample_f = model_f, sample_f
+        own = self._correlate(model_f).real @ self._grid.weights()
+        self._self_response = max(float(own.sum()) / (self._grid.rows * self._grid.cols), 1e-9)
+
+    def _centred_response(self, response_f: Complex64) -> Float32:
+        """(2, H, Wf): the last response with its peak shifted to zero: M_{k-1}[psi] of Eq. 2."""
+        shape = (self._grid.rows, self._grid.cols)
+        response = np.fft.irfft2(response_f, s=shape)
+        row, col = np.unravel_index(int(np.argmax(response)), shape)
+        centred = np.fft.rfft2(np.roll(response, (-int(row), -int(col)), axis=(0, 1)))
+        # The learned correlation is the mirror of the localising one: conjugate spectrum.
+        return np.stack([centred.real, -centred.imag]).astype(np.float32)

@@ -1,0 +1,120 @@
+"""Confidence, occlusion, re-detection, priors: what the follower relies on, on rendered pictures."""
+
+import dataclasses
+
+import cv2
+import numpy as np
+import pytest
+
+from racf import Box, Racf, preset
+from racf.motion import EgoMotion
+
+ROWS, COLS, SIDE = 240, 400, 36
+GROUND = cv2.GaussianBlur(np.random.default_rng(7).integers(0, 256, (ROWS, COLS, 3), dtype=np.uint8), (0, 0), 4)
+GROUND = cv2.normalize(GROUND, None, 60, 190, cv2.NORM_MINMAX)
+TARGET = cv2.resize(np.random.default_rng(8).integers(0, 256, (5, 5, 3), dtype=np.uint8), (SIDE, SIDE), interpolation=0)
+WALL = cv2.GaussianBlur(np.random.default_rng(9).integers(0, 256, (ROWS, 90, 3), dtype=np.uint8), (0, 0), 1)
+ROBUST = dataclasses.replace(preset("racf"), robust=True)
+
+
+def picture(x: int, y: int, wall_at: int | None = None) -> np.ndarray:
+    """The target with its top-left corner at (x, y), in front of the ground, behind a wall 90 pixels wide."""
+    image = GROUND.copy()
+    image[y : y + SIDE, x : x + SIDE] = TARGET
+    if wall_at is not None:
+        image[:, wall_at : wall_at + 90] = WALL
+    return image
+
+
+def box(x: int, y: int) -> Box:
+    return Box(x, y, SIDE, SIDE)
+
+
+def settled(params=ROBUST) -> Racf:
+    tracker = Racf(params)
+    tracker.init(picture(40, 100), box(40, 100))
+    for k in range(1, 9):
+        tracker.update(picture(40 + 3 * k, 100))
+    return tracker
+
+
+def test_a_target_in_plain_view_is_found_with_confidence():
+    tracker = settled()
+    track = tracker.update(picture(67, 100))
+    assert track.found
+    assert track.confidence > 0.8
+
+
+def test_an_occluded_target_is_not_found_and_is_found_again_behind_the_wall():
+    tracker, tracks = settled(), []
+    for k in range(9, 75):
+        tracks.append((k, tracker.update(picture(40 + 3 * k, 100, wall_at=120))))
+    hidden = [track for k, track in tracks if 40 + 3 * k >= 120 and 40 + 3 * k + SIDE <= 210]
+    assert hidden
+    assert not any(track.found for track in hidden)
+    assert max(track.confidence for track in hidden) < 0.7
+    k, last = tracks[-1]
+    assert last.found
+    assert last.box.iou(box(40 + 3 * k, 100)) > 0.7
+
+
+def test_nothing_is_learned_while_the_target_is_hidden():
+    tracker = settled()
+    learned = tracker._filter._learned
+    for _ in range(5):
+        tracker.update(picture(67, 100, wall_at=40))
+    assert tracker._filter._learned is learned
+
+
+def test_a_target_that_reappears_elsewhere_is_found_again():
+    tracker = settled()
+    for _ in range(10):
+        track = tracker.update(GROUND)
+        assert not track.found
+    for _ in range(14):
+        track = tracker.update(picture(200, 60))
+    assert track.found
+    assert track.box.iou(box(200, 60)) > 0.7
+
+
+def test_an_empty_scene_is_never_taken_for_the_target():
+    tracker = settled()
+    assert not any(tracker.update(GROUND).found for _ in range(40))
+
+
+def test_without_re_detection_a_target_elsewhere_stays_lost():
+    tracker = settled(dataclasses.replace(ROBUST, redetect=False))
+    for _ in range(3):
+        tracker.update(GROUND)
+    assert not any(tracker.update(picture(330, 190)).found for _ in range(14))
+
+
+@pytest.mark.parametrize("params", [preset("racf"), ROBUST])
+def test_a_prior_moves_the_search(params):
+    tracker = Racf(params)
+    tracker.init(picture(40, 100), box(40, 100))
+    track = tracker.update(picture(260, 100), prior=box(250, 100))
+    assert track.search.centre_x == pytest.approx(250 + SIDE / 2, abs=12)
+    assert track.box.iou(box(260, 100)) > 0.7
+
+
+@pytest.mark.parametrize("shift", [(6, 0), (-4, 9)])
+def test_the_cameras_motion_is_measured(shift):
+    rng = np.random.default_rng(3)
+    wide = cv2.GaussianBlur(rng.integers(0, 256, (500, 800, 3), dtype=np.uint8), (0, 0), 12)
+    wide = cv2.normalize(wide, None, 0, 255, cv2.NORM_MINMAX)
+    ego = EgoMotion()
+    ego.shift(wide[50:450, 50:690])
+    dx, dy = ego.shift(np.ascontiguousarray(wide[50 - shift[1] : 450 - shift[1], 50 - shift[0] : 690 - shift[0]]))
+    assert (dx, dy) == pytest.approx(shift, abs=1.0)
+
+
+def test_scale_changes_by_one_step_a_frame_at_most():
+    tracker = settled()
+    before = tracker.update(picture(67, 100)).box.w
+    grown = cv2.resize(TARGET, (54, 54))
+    image = GROUND.copy()
+    image[91:145, 58:112] = grown
+    plain = dataclasses.replace(ROBUST, refine=False)
+    tracker = settled(plain)
+    assert tracker.update(image).box.w <= before * plain.scale_step * 1.02
