@@ -2,55 +2,64 @@
 
 import itertools
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sim.world import GAITS, Actor, Array, Colour, Kind, Look, Place, Sun
 
 AMBIENT = 0.5  # share of light that comes from the sky, a clear day
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Part:
-    """A polygon (radii empty) or a limb: a line of two points, round, with a radius at each end.  (N, 3) NED."""
+Point = tuple[float, float, float]
 
-    points: Array
-    colour: Colour
-    radii: tuple[float, float] | None = None
+Draft = tuple[Sequence[Point], Colour, tuple[float, float] | None]
+"""A polygon (no radii) or a limb, that is a line of two points, round, with a radius at each end."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mesh:
+    """Polygons and limbs in local NED, all points in one array; part k has points[starts[k]:starts[k + 1]]."""
+
+    points: Array  # (N, 3)
+    starts: NDArray[np.int64]  # (P + 1,)
+    colours: list[Colour]
+    limbs: NDArray[np.int64]  # which parts are limbs, (L,)
+    radii: Array  # (L, 2)
+
+    @classmethod
+    def of(cls, drafts: Sequence[Draft]) -> "Mesh":
+        """The parts in their order."""
+        starts = np.cumsum([0, *(len(points) for points, _, _ in drafts)])
+        flat = np.array([point for points, _, _ in drafts for point in points], np.float64)
+        limbs = np.array([k for k, draft in enumerate(drafts) if draft[2] is not None], np.int64)
+        radii = np.array([draft[2] for draft in drafts if draft[2] is not None], np.float64).reshape(-1, 2)
+        return cls(flat, starts, [colour for _, colour, _ in drafts], limbs, radii)
 
 
 class Frame3:
     """Local axes of an actor: forward, right, up in metres from its place on the ground."""
 
-    def __init__(self, place: Place, sun: Sun, turn_rad: float = 0.0, ahead_m: float = 0.0) -> None:
-        heading = place.heading_rad + turn_rad
-        self.c, self.s = math.cos(heading), math.sin(heading)
-        self.north = place.north_m + ahead_m * math.cos(place.heading_rad)
-        self.east = place.east_m + ahead_m * math.sin(place.heading_rad)
-        self.sun = sun.toward()
+    def __init__(self, place: Place, sun: Sun) -> None:
+        self.place = place
+        c, s = math.cos(place.heading_rad), math.sin(place.heading_rad)
+        north, east, down = sun.toward()
+        self.sun = (c * north + s * east, c * east - s * north, -down)
+        self.axes = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, -1.0]])
 
-    def at(self, points: list[tuple[float, float, float]]) -> Array:
-        """(forward, right, up) points in NED."""
-        p = np.array(points, np.float64)
-        north = self.north + self.c * p[:, 0] - self.s * p[:, 1]
-        east = self.east + self.s * p[:, 0] + self.c * p[:, 1]
-        return np.stack([north, east, -p[:, 2]], axis=1)
-
-    def face(self, points: list[tuple[float, float, float]], colour: Colour) -> Part:
+    def face(self, points: list[Point], colour: Colour) -> Draft:
         """A flat polygon, lit by the sun as its side is turned (corners clockwise seen from outside)."""
-        corners = self.at(points)
-        return Part(corners, shade(colour, AMBIENT + (1 - AMBIENT) * 1.3 * max(facing(corners, self.sun), 0.0)))
+        # Up instead of down mirrors the axes, so the order of corners is turned round for the normal.
+        light = AMBIENT + (1 - AMBIENT) * 1.3 * max(facing(points[2::-1], self.sun), 0.0)
+        return points, shade(colour, light), None
 
-    def limb(
-        self, p: tuple[float, float, float], q: tuple[float, float, float], rp: float, rq: float, c: Colour
-    ) -> Part:
+    def limb(self, p: Point, q: Point, rp: float, rq: float, colour: Colour) -> Draft:
         """A round limb from p to q."""
-        return Part(self.at([p, q]), c, (rp, rq))
+        return [p, q], colour, (rp, rq)
 
-    def box(
-        self, low: tuple[float, float, float], high: tuple[float, float, float], colour: Colour, inset: float = 0.0
-    ) -> list[Part]:
+    def box(self, low: Point, high: Point, colour: Colour, inset: float = 0.0) -> list[Draft]:
         """The five faces of a box that can be seen from above; `inset` draws the top in from front and back."""
         (x0, y0, z0), (x1, y1, z1) = low, high
         i = inset
@@ -62,10 +71,16 @@ class Frame3:
             self.face([(x0 + i, y0, z1), (x1 - i, y0, z1), (x1 - i, y1, z1), (x0 + i, y1, z1)], colour),
         ]
 
+    def built(self, drafts: list[Draft]) -> Mesh:
+        """The parts in NED."""
+        mesh = Mesh.of(drafts)
+        ned = mesh.points @ self.axes + (self.place.north_m, self.place.east_m, 0.0)
+        return replace(mesh, points=ned)
 
-def facing(corners: Array, light: tuple[float, float, float]) -> float:
+
+def facing(corners: Sequence[Sequence[float]], light: Point) -> float:
     """Cosine between a face's outward normal (corners clockwise seen from outside) and a unit vector."""
-    (a0, a1, a2), (b0, b1, b2), (c0, c1, c2) = corners[:3].tolist()
+    (a0, a1, a2), (b0, b1, b2), (c0, c1, c2) = corners[:3]
     u0, u1, u2, v0, v1, v2 = b0 - a0, b1 - a1, b2 - a2, c0 - b0, c1 - b1, c2 - b2
     n0, n1, n2 = u1 * v2 - u2 * v1, u2 * v0 - u0 * v2, u0 * v1 - u1 * v0
     length = math.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
@@ -78,26 +93,32 @@ def shade(colour: Colour, light: float) -> Colour:
     return b, g, r
 
 
-def body(actor: Actor, place: Place, sun: Sun) -> list[Part]:
+def body(actor: Actor, place: Place, sun: Sun) -> Mesh:
     """The actor's parts where it is; faces turned away are still among them."""
+    frame = Frame3(place, sun)
+    return frame.built(drafts(frame, actor, place))
+
+
+def drafts(frame: Frame3, actor: Actor, place: Place) -> list[Draft]:
+    """The parts in the actor's own axes."""
     if actor.kind is Kind.CAR:
-        return car(Frame3(place, sun), actor.look)
+        return car(frame, actor.look)
     phase = 2.0 * math.pi * place.way_m / GAITS[actor.kind].cycle_m
     if actor.kind is Kind.CYCLIST:
-        return cyclist(Frame3(place, sun), actor.look, phase)
+        return cyclist(frame, actor.look, phase)
     going = min(place.speed_m_s / GAITS[actor.kind].speed_m_s, 1.0)
     swing = (0.75 if actor.kind is Kind.RUNNER else 0.45) * going
-    return person(Frame3(place, sun), actor.look, phase, swing, lean=0.12 if actor.kind is Kind.RUNNER else 0.03)
+    return person(frame, actor.look, phase, swing, lean=0.12 if actor.kind is Kind.RUNNER else 0.03)
 
 
 SKIN: Colour = (120, 150, 200)
 
 
-def person(f: Frame3, look: Look, phase: float, swing: float, lean: float) -> list[Part]:
+def person(f: Frame3, look: Look, phase: float, swing: float, lean: float) -> list[Draft]:
     """Someone 1.75 m tall on foot: legs and arms swing against each other (radians)."""
     hip, shoulder, top = 0.92, 1.42, 1.60
     ahead = lean * (shoulder - hip)
-    parts: list[Part] = []
+    parts: list[Draft] = []
     for side, way in ((-1.0, 1.0), (1.0, -1.0)):
         thigh = swing * math.sin(phase) * way
         bend = swing * (0.9 + math.cos(phase) * way)
@@ -125,9 +146,9 @@ def person(f: Frame3, look: Look, phase: float, swing: float, lean: float) -> li
     return parts
 
 
-def cyclist(f: Frame3, look: Look, phase: float) -> list[Part]:
+def cyclist(f: Frame3, look: Look, phase: float) -> list[Draft]:
     """Someone on a bicycle, 1.75 m long and as high."""
-    parts: list[Part] = []
+    parts: list[Draft] = []
     metal = (60, 60, 62)
     for hub in (-0.52, 0.52):
         rim = [(hub + 0.34 * math.cos(a), 0.0, 0.34 + 0.34 * math.sin(a)) for a in np.linspace(0, 2 * math.pi, 9)]
@@ -158,13 +179,13 @@ def cyclist(f: Frame3, look: Look, phase: float) -> list[Part]:
     return parts
 
 
-def car(f: Frame3, look: Look) -> list[Part]:
+def car(f: Frame3, look: Look) -> list[Draft]:
     """A saloon of 4.5 x 1.8 x 1.45 m; the cabin's faces come after the hull's, so that they are drawn over it."""
-    parts: list[Part] = []
+    parts: list[Draft] = []
     for x in (-1.35, 1.35):
         for y in (-0.91, 0.91):
             ring = [(x + 0.32 * math.cos(a), y, 0.32 + 0.32 * math.sin(a)) for a in np.linspace(0, 2 * math.pi, 10)]
-            parts.append(Part(f.at(ring[:-1]), look.dark))
+            parts.append((ring[:-1], look.dark, None))
     parts += f.box((-2.25, -0.9, 0.28), (2.25, 0.9, 0.85), look.upper)
     for y0, y1 in ((-0.85, -0.5), (0.5, 0.85)):
         parts.append(f.face([(-2.26, y1, 0.6), (-2.26, y0, 0.6), (-2.26, y0, 0.78), (-2.26, y1, 0.78)], (40, 40, 220)))

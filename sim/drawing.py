@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from follow.geometry import Intrinsics
-from sim.body import Part
+from sim.body import Mesh
 from sim.ground import Image
 from sim.trees import Sprite
 from sim.world import Array, Colour, Place
@@ -54,47 +54,45 @@ class Drawn:
 
 
 _ARC = np.arange(5) * math.pi / 4
-_ROUND = np.stack([np.cos(_ARC), np.sin(_ARC)], axis=1)
+_COS, _SIN = np.cos(_ARC)[None, :, None], np.sin(_ARC)[None, :, None]
 
 
 def capsules(p: Array, q: Array, rp: Array, rq: Array) -> Array:
     """(N, 10, 2) outlines of limbs between points (N, 2) of the picture, round at both ends with radii (N,)."""
     away = q - p
-    along = away / np.maximum(np.hypot(away[:, 0], away[:, 1]), 1e-6)[:, None]
-    side = np.stack([-along[:, 1], along[:, 0]], axis=1)
-    arc = _ROUND[None, :, :1] * side[:, None] + _ROUND[None, :, 1:] * along[:, None]
-    return np.concatenate([q[:, None] + rq[:, None, None] * arc, p[:, None] - rp[:, None, None] * arc], axis=1)
-
-
-def outlines(view: View, parts: list[Part]) -> list[Polygon]:
-    """Each part's polygon in fixed-point pixels, in the parts' own order; faces turned away are left out."""
-    pixels, depth = view.project(np.concatenate([part.points for part in parts]))
-    flat, far = fixed(pixels), depth.tolist()
-    starts = np.cumsum([0] + [len(part.points) for part in parts]).tolist()
-    limbs = [k for k, part in enumerate(parts) if part.radii is not None]
-    rounds: dict[int, NDArray[np.int32]] = {}
-    if limbs:
-        first = np.array([starts[k] for k in limbs])
-        radii = np.array([parts[k].radii for k in limbs]) * view.camera.fx
-        near = np.maximum(depth, NEAR_M)
-        shapes = capsules(pixels[first], pixels[first + 1], radii[:, 0] / near[first], radii[:, 1] / near[first + 1])
-        rounds = dict(zip(limbs, fixed(shapes), strict=True))
-    out: list[Polygon] = []
-    for k, part in enumerate(parts):
-        start, end = starts[k], starts[k + 1]
-        if min(far[start:end]) < NEAR_M:
-            continue
-        if k in rounds:
-            out.append((rounds[k], part.colour))
-        elif not turned_away(flat[start:end].tolist()):
-            out.append((flat[start:end], part.colour))
+    along = away / np.maximum(np.sqrt((away * away).sum(axis=1)), 1e-6)[:, None]
+    side = along[:, ::-1] * (-1.0, 1.0)
+    arc = _COS * side[:, None] + _SIN * along[:, None]
+    out = np.empty((len(p), 2 * len(_ARC), 2))
+    out[:, : len(_ARC)] = q[:, None] + rq[:, None, None] * arc
+    out[:, len(_ARC) :] = p[:, None] - rp[:, None, None] * arc
     return out
 
 
-def turned_away(corners: list[list[int]]) -> bool:
-    """Whether a face's corners run counter-clockwise in the picture: its back is seen."""
-    (x0, y0), (x1, y1), (x2, y2) = corners[:3]
-    return (x1 - x0) * (y2 - y1) - (y1 - y0) * (x2 - x1) <= 0
+def outlines(view: View, mesh: Mesh, points: Array | None = None) -> list[Polygon]:
+    """Each part's polygon in fixed-point pixels, in the parts' own order; faces turned away are left out.
+
+    `points` are the mesh's points where they are to be drawn elsewhere (as a shadow).
+    """
+    pixels, depth = view.project(mesh.points if points is None else points)
+    flat = fixed(pixels)
+    first = mesh.starts[:-1]
+    # In the picture a face seen from outside turns clockwise: its first corner turns to the right.
+    u, w = pixels[first + 1] - pixels[first], pixels[np.minimum(first + 2, len(pixels) - 1)] - pixels[first + 1]
+    shown = u[:, 0] * w[:, 1] - u[:, 1] * w[:, 0] > 0
+    shown[mesh.limbs] = True
+    shown &= np.minimum.reduceat(depth, first) >= NEAR_M
+    rounds: dict[int, NDArray[np.int32]] = {}
+    if len(mesh.limbs):
+        start = first[mesh.limbs]
+        radii, near = mesh.radii * view.camera.fx, np.maximum(depth, NEAR_M)
+        shapes = capsules(pixels[start], pixels[start + 1], radii[:, 0] / near[start], radii[:, 1] / near[start + 1])
+        rounds = dict(zip(mesh.limbs.tolist(), fixed(shapes), strict=True))
+    edges = mesh.starts.tolist()
+    return [
+        (rounds[k] if k in rounds else flat[edges[k] : edges[k + 1]], mesh.colours[k])
+        for k in np.flatnonzero(shown).tolist()
+    ]
 
 
 def fixed(points: Array) -> NDArray[np.int32]:
@@ -111,13 +109,15 @@ def outlined(distance_m: float, polygons: list[Polygon]) -> Drawn | None:
     return Drawn(distance_m, polygons, (float(low[0]), float(low[1])), (float(high[0]), float(high[1])))
 
 
-def drawn_body(view: View, place: Place, parts: list[Part]) -> Drawn | None:
+def drawn_body(view: View, place: Place, mesh: Mesh) -> Drawn | None:
     """An actor: limbs from far to near, faces in the order of their body (hull, then cabin)."""
-    if parts[-1].radii is not None:
-        away = [float(np.sum((part.points.mean(axis=0) - view.place) ** 2)) for part in parts]
-        parts = [parts[k] for k in sorted(range(len(parts)), key=lambda k: -away[k])]
     distance = math.hypot(place.north_m - view.place[0], place.east_m - view.place[1])
-    return outlined(distance, outlines(view, parts))
+    polygons = outlines(view, mesh)
+    if len(mesh.limbs) == len(mesh.colours) == len(polygons):
+        first = mesh.starts[:-1]
+        middles = (mesh.points[first] + mesh.points[first + 1]) / 2 - view.place
+        polygons = [polygons[k] for k in np.argsort(-(middles * middles).sum(axis=1), kind="stable").tolist()]
+    return outlined(distance, polygons)
 
 
 def fill(image: Image, thing: Drawn) -> None:

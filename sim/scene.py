@@ -6,17 +6,15 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from follow.geometry import Intrinsics
 from racf.box import Box
-from sim.body import Part, body
+from sim.body import Mesh, body
 from sim.buildings import built
 from sim.drawing import (
     FRACTION,
     NEAR_M,
     Drawn,
-    Polygon,
     View,
     capsules,
     drawn_body,
@@ -56,6 +54,8 @@ class Scene:
         self.middles = np.array([(b.north_m, b.east_m, -b.above_m - b.height_m / 2) for b in world.blocks]).reshape(
             -1, 3
         )
+        self.radii = np.array([t.radius_m for t in world.trees])
+        self.heights = np.array([t.height_m for t in world.trees])
         self.crowns = np.array([(t.north_m, t.east_m, t.radius_m - t.height_m) for t in world.trees]).reshape(-1, 3)
 
     def draw(self, view: View, t_s: float) -> tuple[Image, tuple[Seen, ...]]:
@@ -63,9 +63,9 @@ class Scene:
         image = self._ground(view)
         places = [actor.route.at(t_s) for actor in self.world.actors]
         bodies = [body(a, p, self.world.sun) for a, p in zip(self.world.actors, places, strict=True)]
-        for parts in bodies:
-            self._shadow(image, view, parts)
-        actors = [drawn_body(view, p, parts) for p, parts in zip(places, bodies, strict=True)]
+        for mesh in bodies:
+            self._shadow(image, view, mesh)
+        actors = [drawn_body(view, p, mesh) for p, mesh in zip(places, bodies, strict=True)]
         things = self._blocks(view) + self._trees(view) + [d for d in actors if d is not None]
         things = [d for d in things if self._inside(d)]
         things.sort(key=lambda d: -d.distance_m)
@@ -89,29 +89,26 @@ class Scene:
 
     def _trees(self, view: View) -> list[Drawn]:
         """A trunk and a crown that always faces the camera, for each tree that may be in the picture."""
-        out: list[Drawn] = []
-        feet = self.crowns * (1, 1, 0)
+        if not len(self.crowns):
+            return []
+        c, feet = self.camera, self.crowns * (1, 1, 0)
         (pixels, depth), (below, foot_depth) = view.project(self.crowns), view.project(feet)
-        away = np.hypot(feet[:, 0] - view.place[0], feet[:, 1] - view.place[1]).tolist()
-        for k, tree in enumerate(self.world.trees):
-            if (
-                away[k] > FAR_M
-                or depth[k] < NEAR_M + tree.radius_m
-                or self._beside(pixels[k], tree.height_m / depth[k])
-            ):
-                continue
-            f = self.camera.fx / float(depth[k])
-            radius, (x, y) = tree.radius_m * f, pixels[k].tolist()
-            low_y, high_y = y - radius, y + radius
-            polygons: list[Polygon] = []
-            if foot_depth[k] > NEAR_M:
-                wide = 0.07 * tree.radius_m
-                thick = np.array([wide * self.camera.fx / float(foot_depth[k])])
-                trunk = capsules(below[k : k + 1], pixels[k : k + 1], thick, np.array([wide * f]))
-                polygons.append((fixed(trunk[0]), TRUNK))
-                low_y, high_y = min(low_y, float(below[k, 1])), max(high_y, float(below[k, 1]))
-            sprite = self.sprites[tree.sprite % len(self.sprites)]
-            out.append(Drawn(away[k], polygons, (x - radius, low_y), (x + radius, high_y), sprite, (x, y, radius)))
+        away = np.sqrt(((feet[:, :2] - view.place[:2]) ** 2).sum(axis=1))
+        near = np.maximum(depth, NEAR_M)
+        radius, height = self.radii * c.fx / near, self.heights * c.fx / near
+        x, y = pixels[:, 0], pixels[:, 1]
+        shown = (away < FAR_M) & (depth > NEAR_M + self.radii) & (y > -radius) & (y < c.height + 2 * height)
+        shown &= (x > -2 * height) & (x < c.width + 2 * height)
+        thick = 0.07 * self.radii * c.fx
+        trunks = fixed(capsules(below, pixels, thick / np.maximum(foot_depth, NEAR_M), thick / near))
+        out: list[Drawn] = []
+        for k in np.flatnonzero(shown).tolist():
+            r, (mx, my), foot_y = float(radius[k]), pixels[k].tolist(), float(below[k, 1])
+            stands = foot_depth[k] > NEAR_M
+            low_y, high_y = (min(my - r, foot_y), max(my + r, foot_y)) if stands else (my - r, my + r)
+            polygons = [(trunks[k], TRUNK)] if stands else []
+            sprite = self.sprites[self.world.trees[k].sprite % len(self.sprites)]
+            out.append(Drawn(float(away[k]), polygons, (mx - r, low_y), (mx + r, high_y), sprite, (mx, my, r)))
         return out
 
     def _beside(self, pixel: Array, reach: float) -> bool:
@@ -189,18 +186,16 @@ class Scene:
             if len(polygon) >= 3:
                 cv2.fillConvexPoly(image, np.round(np.array(polygon) - 0.5).astype(np.int32), colour)
 
-    def _shadow(self, image: Image, view: View, parts: list[Part]) -> None:
+    def _shadow(self, image: Image, view: View, mesh: Mesh) -> None:
         """Darken the ground where an actor stands in the light."""
         north, east = self.world.sun.shadow()
-        polygons: list[NDArray[np.int32]] = []
-        flat = [Part(on_ground(p.points, north, east), p.colour, p.radii) for p in parts]
-        for polygon, _ in outlines(view, flat):
-            polygons.append(polygon)
+        points = on_ground(mesh.points, north, east)
+        polygons = [polygon for polygon, _ in outlines(view, mesh, points)]
         if not polygons:
             return
-        points = np.concatenate(polygons) >> FRACTION
-        x0, y0 = np.maximum(points.min(axis=0) - 2, 0).tolist()
-        x1, y1 = np.minimum(points.max(axis=0) + 3, (self.camera.width, self.camera.height)).tolist()
+        corners = np.concatenate(polygons) >> FRACTION
+        x0, y0 = np.maximum(corners.min(axis=0) - 2, 0).tolist()
+        x1, y1 = np.minimum(corners.max(axis=0) + 3, (self.camera.width, self.camera.height)).tolist()
         if x0 >= x1 or y0 >= y1:
             return
         light = np.full((y1 - y0, x1 - x0), 255, np.uint8)
@@ -249,5 +244,6 @@ def clipped(polygon: list[tuple[float, float]], down: list[float]) -> list[tuple
 
 def on_ground(points: Array, north: float, east: float) -> Array:
     """Points moved along the sun's rays to the ground, a hand above it."""
-    height = -points[:, 2]
-    return np.stack([points[:, 0] + north * height, points[:, 1] + east * height, np.full(len(points), -0.01)], axis=1)
+    out = points + -points[:, 2:] * (north, east, 0.0)
+    out[:, 2] = -0.01
+    return out

@@ -97,7 +97,12 @@ def car_road(random: Generator, kind: Kind, duration_s: float) -> World:
     (n1, e1), (n2, e2) = points[-2:]
     line = ((-120.0, 0.0), *actor_line(actor), (n2 + 2 * (n2 - n1), e2 + 2 * (e2 - e1)))
     world = World(
-        (actor,), roads=(Road(line, 7.5),), sun=sun(random), seed=int(random.integers(1 << 31)), keep_clear_m=18
+        (actor,),
+        roads=(Road(line, 7.5),),
+        sun=sun(random),
+        seed=int(random.integers(1 << 31)),
+        keep_clear_m=18,
+        ground_texels=5120,
     )
     return scatter(world, 260.0, 16, 160)
 

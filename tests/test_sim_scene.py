@@ -74,7 +74,7 @@ def test_the_true_box_holds_the_body_and_nothing_more(kind, heading):
     v = view(-20.0, height_m=9.0, down_deg=22.0)
     scene = Scene(world, CAMERA)
     image, (seen,) = scene.draw(v, 0.0)
-    points = np.concatenate([p.points for p in body(world.actors[0], world.target(0.0), world.sun)])
+    points = body(world.actors[0], world.target(0.0), world.sun).points
     pixels, _ = project(CAMERA, v.rotation, v.place, points)
     box = seen.box
     assert seen.visible == 1.0
