@@ -5,7 +5,8 @@ import sys
 from collections.abc import Sequence
 
 from follow.camera import CameraError
-from follow.commands import Command, Inspect, Replay, Run
+from follow.commands import Command, Doctor, Inspect, Replay, Run
+from follow.doctor import NotFitError
 from follow.link import LinkError
 from racf.commandline import run
 
@@ -13,7 +14,7 @@ from racf.commandline import run
 # ruff: noqa: PLC0415
 
 
-def execute(command: Replay | Run | Inspect) -> None:
+def execute(command: Replay | Run | Doctor | Inspect) -> None:
     """Run one command."""
     if isinstance(command, Replay):
         from follow.cli_replay import replay
@@ -23,6 +24,10 @@ def execute(command: Replay | Run | Inspect) -> None:
         from follow.cli_run import fly_live
 
         fly_live(command)
+    elif isinstance(command, Doctor):
+        from follow.cli_doctor import diagnose
+
+        diagnose(command)
     else:
         from follow.inspect import show
 
@@ -38,7 +43,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv,
         prog="follow",
         description="Keep a target in view: PX4 and ArduPilot, replayed footage, or a simulated flight.",
-        failures=(CameraError, LinkError),
+        failures=(CameraError, LinkError, NotFitError),
     )
 
 

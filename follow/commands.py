@@ -79,6 +79,29 @@ class Run:
 
 
 @dataclass(frozen=True, slots=True)
+class Doctor:
+    """Look at camera, tracker, link, autopilot, disk, clock and signing, and say what mends them.
+
+    Exit status 0: fit to fly.  1: something is red.  Nothing on the vehicle is changed.
+    """
+
+    camera: str | None = None
+    """A device (0, /dev/video0), a stream (rtsp://...) or a file; not looked at when not given."""
+    link: str | None = None
+    """As for `follow run`; not looked at when not given."""
+    system_id: int | None = None
+    """The vehicle's MAVLink system id; the first vehicle heard when not given."""
+    signing_key: Path | None = None
+    """File of the MAVLink 2 signing key: 32 bytes, readable by its owner only."""
+    tracker: str = TRACKER
+    """The tracker that is timed on the camera's pictures."""
+    out: Path = Path("out/run")
+    """Where recordings would go."""
+    json: bool = False
+    """Print the findings as JSON on standard output."""
+
+
+@dataclass(frozen=True, slots=True)
 class Inspect:
     """Open a recording in Rerun's viewer."""
 
@@ -89,6 +112,7 @@ class Inspect:
 Command = (
     Annotated[Replay, tyro.conf.subcommand("replay")]
     | Annotated[Run, tyro.conf.subcommand("run")]
+    | Annotated[Doctor, tyro.conf.subcommand("doctor")]
     | Annotated[Inspect, tyro.conf.subcommand("inspect")]
 )  # fmt: skip
 

@@ -23,6 +23,7 @@ ANSWER_S = 0.5
 LEAST_HZ = {"ATTITUDE": 20.0, "LOCAL_POSITION_NED": 5.0}  # the gate lets them be 100 and 500 ms old: twice that rate
 FRAME_AGE_S = 0.2  # the gate's limit (follow/limits.py)
 LEAST_FPS = 10.0  # two pictures within the gate's limit
+KEPT_PICTURES = 30  # for timing the tracker: a second of a usual camera
 TRACKER_SHARE = 0.7  # of the time between two pictures: the rest is for the loop and the recording
 LITTLE_DISK, NO_DISK = 5e9, 5e8  # bytes: an hour of recording takes some 2e9
 BATTERY_PERCENT = 30
@@ -49,6 +50,10 @@ class Finding:
 
     def __str__(self) -> str:
         return f"{self.verdict.value:4} {self.name}: {self.text}" + (f"  ->  {self.fix}" if self.fix else "")
+
+
+class NotFitError(RuntimeError):
+    """Something is red; the message names it."""
 
 
 def is_fit(findings: Iterable[Finding], waived: Sequence[str] = ()) -> bool:
@@ -94,8 +99,13 @@ def judge(parameter: Parameter, value: float | None) -> Finding:
     return Finding(parameter.name, Verdict.RED, f"{text}, wanted {parameter.wanted}", parameter.fix)
 
 
-def check_camera(camera: Camera, now: Callable[[], float] | None = None, seconds: float = 3.0) -> list[Finding]:
-    """Look through an open camera for a while.  `now` is the clock of a live one's pictures, None for a file."""
+def check_camera(
+    camera: Camera, now: Callable[[], float] | None, kept: list[Frame], seconds: float = 3.0
+) -> list[Finding]:
+    """Look through an open camera for a while, and put its first pictures into `kept`.
+
+    `now` is the clock of a live one's pictures, None for a file.
+    """
     times: list[float] = []
     ages: list[float] = []
     began_s = time.monotonic()
@@ -103,6 +113,8 @@ def check_camera(camera: Camera, now: Callable[[], float] | None = None, seconds
         for frame in camera.frames():
             if frame is not None:
                 times.append(frame.t_s)
+                if len(kept) < KEPT_PICTURES:
+                    kept.append(frame)
                 ages.append(now() - frame.t_s if now else 0.0)
             if time.monotonic() - began_s > seconds:
                 break

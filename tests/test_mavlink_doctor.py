@@ -1,5 +1,6 @@
 """The doctor against both rule sets: red with the exact lines at default parameters, green after the named commands."""
 
+import json
 import struct
 
 import numpy as np
@@ -9,6 +10,7 @@ from pymavlink.dialects.v20 import common as dialect
 
 from follow import doctor
 from follow.camera import CameraError
+from follow.cli import main
 from follow.doctor import Verdict
 from follow.messages import Autopilot, Frame
 
@@ -141,15 +143,17 @@ class Slideshow:
 
 
 def test_a_camera_is_judged_by_its_rate_and_the_age_of_its_pictures():
-    verdicts = {finding.name: finding.verdict for finding in doctor.check_camera(Slideshow(60))}
+    kept = []
+    verdicts = {finding.name: finding.verdict for finding in doctor.check_camera(Slideshow(60), None, kept)}
     assert verdicts == {"camera": Verdict.OK}
-    (slow,) = doctor.check_camera(Slideshow(60, period_s=0.2))
+    assert len(kept) == 30
+    (slow,) = doctor.check_camera(Slideshow(60, period_s=0.2), None, [])
     assert slow.verdict is Verdict.RED
-    (none,) = doctor.check_camera(Slideshow(0))
+    (none,) = doctor.check_camera(Slideshow(0), None, [])
     assert none.verdict is Verdict.RED
-    (broken,) = doctor.check_camera(Slideshow(60, breaks=True))
+    (broken,) = doctor.check_camera(Slideshow(60, breaks=True), None, [])
     assert "/dev/video9" in broken.text
-    late = {finding.name: finding for finding in doctor.check_camera(Slideshow(60), now=lambda: 10.0)}
+    late = {finding.name: finding for finding in doctor.check_camera(Slideshow(60), lambda: 10.0, [])}
     assert late["latency"].verdict is Verdict.RED
 
 
@@ -157,3 +161,15 @@ def test_a_tracker_slower_than_the_camera_is_red():
     frames = list(Slideshow(20).frames())
     assert doctor.check_tracker(lambda image: image, frames, fps=30.0).verdict is Verdict.OK
     assert doctor.check_tracker(lambda image: image, frames, fps=1e9).verdict is Verdict.RED
+
+
+def test_the_command_is_red_in_one_line_for_what_cannot_be_opened(tmp_path, capsys):
+    camera, link = str(tmp_path / "no.mp4"), f"serial:{tmp_path / 'ttyNONE'}:57600"
+    assert main(["doctor", "--camera", camera, "--link", link, "--out", str(tmp_path), "--json"]) == 1
+    out, err = capsys.readouterr()
+    assert {finding["name"]: finding["verdict"] for finding in json.loads(out)}["link"] == "red"
+    assert "not fit to fly: camera, link" in err
+
+
+def test_the_command_is_green_without_anything_to_look_at(tmp_path):
+    assert main(["doctor", "--out", str(tmp_path)]) == 0
