@@ -12,7 +12,7 @@ from sim.camera import CameraSettings, LiveFlight, SceneCamera
 from sim.dynamics import ANSWERS, CALM, GRAVITY_M_S2, Motion, Vehicle, Wind
 from sim.link import SimLink
 from sim.optics import Optics
-from sim.stages import car_road, footpath, look_alike, stops, trees_between, turn_back, wall_between
+from sim.stages import car_road, footpath, look_alike, set_off, stops, trees_between, turn_back, wall_between
 from sim.world import Kind, World
 
 Stage = Callable[[np.random.Generator, Kind, float], World]
@@ -111,6 +111,7 @@ RUN = replace(
     about="a runner on a winding path",
     kind=Kind.RUNNER,
     cruise_m_s=4.0,
+    rolling_start=True,
     height_m=7.0,
     standoff_m=10.0,
     limits={"speed_m_s": 7.0},
@@ -149,6 +150,7 @@ _ALL = (
     RIDE,
     DRIVE,
     replace(WALK, name="walker-stops", about="a walker who stands still now and then", stage=stops),
+    replace(RUN, name="runner-start", about="a runner who sets off from standing", stage=set_off, rolling_start=False),
     replace(RUN, name="runner-uturn", about="a runner who turns back toward the drone", stage=turn_back),
     replace(RIDE, name="cyclist-uturn", about="a cyclist who turns back", stage=turn_back, limits={**RIDE.limits}),
     replace(WALK, name="wall", about="a walker goes behind a wall for 3 s", stage=wall_between),

@@ -80,9 +80,18 @@ def furnished(random: Generator, world: World, extent_m: float = 90.0, trees: in
 
 
 def footpath(random: Generator, kind: Kind, duration_s: float) -> World:
-    """One actor on a winding path."""
+    """One actor on a winding path; who is faster than a walker is at speed already."""
+    return on_path(random, kind, duration_s, rolling=kind is not Kind.WALKER)
+
+
+def set_off(random: Generator, kind: Kind, duration_s: float) -> World:
+    """One actor who stands and then sets off on a winding path."""
+    return on_path(random, kind, duration_s, rolling=False)
+
+
+def on_path(random: Generator, kind: Kind, duration_s: float, *, rolling: bool) -> World:
+    """One actor on a winding path, at speed from the start or after a short wait."""
     speed = GAITS[kind].speed_m_s
-    rolling = kind is Kind.CYCLIST
     points = winding(random, speed * (duration_s + 8), max(4.0 * speed, 8.0), 0.45)
     actor = Actor(kind, route(kind, legs(points, 0.0 if rolling else 1.0), duration_s), look(random, kind))
     texels = 2048 if speed * duration_s < 200 else 4096
@@ -131,7 +140,7 @@ def turn_back(random: Generator, kind: Kind, duration_s: float) -> World:
     corner = 0.35 * width
     points = [(0.0, 0.0), (far, 0.0), (far + corner, side * corner), (far + corner, side * (width - corner))]
     points += [(far, side * width), (-speed * duration_s, side * width)]
-    rolling = kind is Kind.CYCLIST
+    rolling = kind is not Kind.WALKER
     actor = Actor(kind, route(kind, legs(points, 0.0 if rolling else 1.0), duration_s), look(random, kind))
     return furnished(random, World((actor,), roads=(path(points),), sun=sun(random)), 90.0)
 

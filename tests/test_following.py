@@ -98,13 +98,13 @@ def good(figures):
 
 
 @pytest.mark.parametrize("autopilot", Autopilot)
-@pytest.mark.parametrize("name", ["walker", "cyclist", "car"])
+@pytest.mark.parametrize("name", ["walker", "runner", "cyclist", "car"])
 def test_the_target_stays_centred_and_at_its_distance(name, autopilot):
     _, figures = flown(name, autopilot)
     assert good(figures), figures
 
 
-@pytest.mark.parametrize("name", ["runner", "runner-uturn", "cyclist-uturn", "wind"])
+@pytest.mark.parametrize("name", ["runner-start", "runner-uturn", "cyclist-uturn", "wind"])
 def test_a_target_that_starts_turns_back_or_has_wind_stays_in_view(name):
     _, (in_view, _, standoff) = flown(name)
     assert in_view >= 0.99
@@ -142,7 +142,7 @@ def test_a_walker_hidden_for_3_s_is_taken_up_again():
 
 def test_what_is_sent_ramps_within_the_limits():
     """The referee is plain differences of what was sent, turned into NED with the heading that the gate knew."""
-    ticks, _ = flown("runner")
+    ticks, _ = flown("runner-start")
     limits = Limits()
     sent = [(t.state.t_s, t.state.yaw_rad, t.decision.setpoint) for t in ticks if t.decision.setpoint]
     ned = [(t, complex(s.forward_m_s, s.right_m_s) * np.exp(1j * yaw), s) for t, yaw, s in sent]
