@@ -5,7 +5,7 @@ import sys
 from collections.abc import Sequence
 
 from follow.camera import CameraError
-from follow.commands import Command, Doctor, Inspect, Replay, Run
+from follow.commands import Command, Doctor, Inspect, Replay, Run, Sim
 from follow.doctor import NotFitError
 from follow.link import LinkError
 from racf.commandline import run
@@ -14,12 +14,16 @@ from racf.commandline import run
 # ruff: noqa: PLC0415
 
 
-def execute(command: Replay | Run | Doctor | Inspect) -> None:
+def execute(command: Replay | Sim | Run | Doctor | Inspect) -> None:
     """Run one command."""
     if isinstance(command, Replay):
         from follow.cli_replay import replay
 
         replay(command)
+    elif isinstance(command, Sim):
+        from follow.cli_sim import sim
+
+        sim(command)
     elif isinstance(command, Run):
         from follow.cli_run import fly_live
 

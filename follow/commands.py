@@ -20,7 +20,7 @@ TRACKER = "racf,robust"
 class Replay:
     """A video file or a folder of images through tracker, servo, gate and a link that only pretends to fly."""
 
-    source: tyro.conf.Positional[str]
+    source: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")]
     """Video file or folder of images."""
     target: str | None = None
     """What to follow: x,y,w,h in 0-based pixels of the first picture."""
@@ -38,6 +38,31 @@ class Replay:
     """Folder of flight.rrd, ticks.csv and summary.json."""
     json: bool = False
     """Print the summary as JSON on standard output."""
+    config: Settings = field(default_factory=Config)
+
+
+@dataclass(frozen=True, slots=True)
+class Sim:
+    """A closed loop without a drone: a drawn world, a vehicle that answers as PX4's or ArduPilot's did."""
+
+    scenario: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SCENARIO")] = "walker"
+    """Name of the flight."""
+    seed: int = 0
+    """Of the world, the wind and the camera's noise."""
+    autopilot: Autopilot | None = None
+    """Whose vehicle flies: px4 where not given, both with --all."""
+    all: bool = False
+    """Fly every scenario, in parallel, and print a table."""
+    seeds: int = 5
+    """With --all: fly each scenario with so many seeds, counting from --seed."""
+    list: bool = False
+    """Print the names of the scenarios."""
+    tracker: str = TRACKER
+    """Tracker by name, with settings: racf, racf-, racf--, bacf, arcf-hc; e.g. racf-,robust."""
+    out: Path = Path("out/sim")
+    """Folder of flight.rrd, ticks.csv, summary.json and flight.png."""
+    json: bool = False
+    """Print the summary (with --all: of each flight) as JSON on standard output."""
     config: Settings = field(default_factory=Config)
 
 
@@ -105,12 +130,13 @@ class Doctor:
 class Inspect:
     """Open a recording in Rerun's viewer."""
 
-    recording: tyro.conf.Positional[Path]
+    recording: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR_OR_RRD")]
     """The folder of a flight, or its flight.rrd."""
 
 
 Command = (
     Annotated[Replay, tyro.conf.subcommand("replay")]
+    | Annotated[Sim, tyro.conf.subcommand("sim")]
     | Annotated[Run, tyro.conf.subcommand("run")]
     | Annotated[Doctor, tyro.conf.subcommand("doctor")]
     | Annotated[Inspect, tyro.conf.subcommand("inspect")]

@@ -108,7 +108,8 @@ class Explanation:
         log("track/confidence", rr.Scalars([track.confidence, float(track.found), float(track.refined)]))
         log("track/sharpness", rr.Scalars([track.psr, track.apce]))
         if track.response is not None:
-            heat = np.clip(track.response * 255, 0, 255).astype(np.uint8)
+            peak = max(float(track.response.max()), 1e-6)  # how high it is says the PSR; here its shape is shown
+            heat = np.clip(track.response * (255 / peak), 0, 255).astype(np.uint8)
             log("response", rr.DepthImage(heat, meter=255.0, colormap="viridis", depth_range=[0.0, 255.0]))
         if track.mask is not None and track.mask_box is not None:
             log("mask", rr.SegmentationImage(track.mask))

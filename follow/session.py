@@ -13,13 +13,17 @@ from follow.summary import Figures
 from follow.terminal import Terminal, result
 from racf import Racf
 from racf.box import Box
+from racf.commandline import UsageError
 from racf.evaluate.trackers import TrackerSpec
 from racf.tracker import warm_up
 
 
 def acquire(name: str, box: Box) -> Acquire:
-    """A warm tracker that will start on the box in the first picture."""
-    tracker = TrackerSpec.parse(name).build()
+    """A warm tracker that will start on the box in the first picture; raises UsageError for an unknown name."""
+    try:
+        tracker = TrackerSpec.parse(name).build()
+    except ValueError as error:
+        raise UsageError(f"--tracker: {error}") from None
     if isinstance(tracker, Racf):
         warm_up()
         return Acquire(tracker.init, tracker.update, box)

@@ -39,7 +39,9 @@ class Terminal:
             _Rate(unit),
             TimeRemainingColumn(),
         )
-        with Progress(*columns, console=self._console, transient=True) as progress:
+        with Progress(
+            *columns, console=self._console, transient=True, disable=not self._console.is_terminal
+        ) as progress:
             yield from progress.track(items, total=total, description=name)
 
     def hear(self, logger: str) -> None:
