@@ -2,15 +2,18 @@
 
 from follow.messages import NEVER
 
-REFRESH_S = 10.0  # clocks drift apart by some 50 ppm: half a millisecond in this time
+DRIFT = 0.01  # of an old exchange's age: a quartz is 200 times better, a simulation on a loaded machine up to 5 x worse
+LONGEST_TRIP_S = 1.0  # an answer later than this is to a question of another life
+ROUNDING_S = 1e-6  # nanoseconds on the wire, binary fractions here
 AHEAD_S = 0.1  # more than any stamp is rounded by: the vehicle's clock was set forward
 BEHIND_S = 1.0  # a time this far behind the last one means that the vehicle restarted, not that packets overtook
 
 
 class VehicleClock:
-    """Maps the vehicle's time since boot to ours by TIMESYNC, keeping the exchange with the shortest round trip.
+    """Maps the vehicle's time since boot to ours by TIMESYNC, keeping the exchange that knows it best.
 
-    Half a round trip bounds the error.  Until an exchange succeeds, a message counts as measured when it arrived.
+    Half a round trip bounds an exchange's error; with its age the clocks drift apart.  Until an exchange succeeds, a
+    message counts as measured when it arrived.
     """
 
     def __init__(self) -> None:
@@ -21,10 +24,10 @@ class VehicleClock:
 
     def exchange(self, sent_t_s: float, vehicle_s: float, t_s: float) -> None:
         """Take in an answer: we sent at `sent_t_s`, the vehicle's clock read `vehicle_s`, it arrived at `t_s`."""
-        round_trip_s = t_s - sent_t_s
-        if not 0.0 <= round_trip_s < 1.0:
+        if not -ROUNDING_S <= t_s - sent_t_s < LONGEST_TRIP_S:
             return
-        if round_trip_s <= self.round_trip_s or t_s - self._measured_t_s > REFRESH_S:
+        round_trip_s = max(t_s - sent_t_s, 0.0)
+        if round_trip_s / 2 <= self.round_trip_s / 2 + DRIFT * (t_s - self._measured_t_s):
             self.offset_s = vehicle_s - (sent_t_s + t_s) / 2
             self.round_trip_s = round_trip_s
             self._measured_t_s = t_s

@@ -26,7 +26,7 @@ VELOCITY_AND_YAW_RATE = 0x05C7  # ignore position, acceleration and yaw; masking
 COMPANION = dialect.MAV_COMP_ID_ONBOARD_COMPUTER  # 191
 
 HEARTBEAT_EVERY_S = 1.0  # the MAVLink heartbeat protocol's rate
-TIMESYNC_EVERY_S = 1.0
+TIMESYNC_EVERY_S = 0.2  # five chances a second for an exchange that nothing delayed
 RATES_CHECK_EVERY_S = 2.0  # long enough to count a few messages of the slowest stream that we ask for
 ASK_AGAIN_S = 0.7  # a command without an answer is repeated after this, as the command protocol does
 ASK_TIMES = 3

@@ -305,3 +305,14 @@ def test_no_bytes_crash_or_stop_the_client(chunks, seed):
     for _ in range(30):  # a stream needs up to one longest packet of new bytes to find its step again
         pair.client.receive(mav.heartbeat_encode(2, 12, 1, 0, 4).pack(mav), pair.t_s + 1.0)
     assert pair.client.state(pair.t_s + 1.0).heartbeat_t_s == pair.t_s + 1.0
+
+
+@pytest.mark.parametrize("pace", [0.9, 0.95, 1.0, 1.05])
+def test_a_simulated_autopilot_that_does_not_keep_real_time_is_not_taken_for_stale(pace):
+    pair = Pair(Autopilot.PX4)
+    step = pair.system.step
+    pair.system.step = lambda t_s: step(pace * t_s)
+    pair.run(3.0)
+    for _ in range(100):
+        pair.run(0.1)
+        assert pair.t_s - pair.state.attitude_t_s < 0.1  # the gate's limit
