@@ -109,6 +109,7 @@ def fly(
             for tick in ramping_down(p.link, p.safety, lambda: time.sleep(ROUND_S)):
                 recorder.tick(tick)
                 operator.see(tick)
+                service.alive(tick.state.t_s, tick.decision.mode)
             service.close()
 
 

@@ -1,7 +1,6 @@
 """Clients that are not ours fly the simulated autopilot over UDP: MAVSDK 4.1, and pymavlink's own connection."""
 
 import contextlib
-import itertools
 import math
 import os
 import socket
@@ -17,9 +16,10 @@ from mavsdk.plugins.offboard import Offboard, VelocityBodyYawspeed
 from mavsdk.plugins.telemetry import Telemetry
 
 BOTH = pytest.mark.parametrize("rules", ["px4", "ardupilot"])
-SPEEDUP = 5.0
+SPEEDUP = 6.0
+START_S = 30.0  # a loaded machine takes that long to start a process
 SQUARE = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))
-SIDE_S = 3.0  # simulated
+SIDE_M = 1.0
 
 
 def free_port() -> int:
@@ -40,7 +40,7 @@ def autopilot(rules: str, port: int) -> Iterator[None]:
         process.wait(5.0)
 
 
-def until(what: str, done: Callable[[], bool], seconds: float = 10.0) -> None:
+def until(what: str, done: Callable[[], bool], seconds: float = 20.0) -> None:
     """Wait for something that happens in another process."""
     end = time.monotonic() + seconds
     while not done():
@@ -55,7 +55,7 @@ def test_mavsdk_arms_takes_off_flies_a_square_and_lands(rules):
     try:
         mavsdk.add_any_connection(f"udpin://127.0.0.1:{port}")
         with autopilot(rules, port):
-            system = mavsdk.first_autopilot(10.0)
+            system = mavsdk.first_autopilot(START_S)
             assert system is not None
             fly_with_mavsdk(Telemetry(system), Action(system), Offboard(system))
     finally:
@@ -70,13 +70,15 @@ def fly_with_mavsdk(telemetry: Telemetry, action: Action, offboard: Offboard) ->
     until("up", lambda: telemetry.position().relative_altitude_m > 2.5)
     offboard.set_velocity_body(VelocityBodyYawspeed(0.0, 0.0, 0.0, 0.0))
     offboard.start()
-    corners = []
     for forward, right in SQUARE:
+        start = telemetry.position_velocity_ned().position
         offboard.set_velocity_body(VelocityBodyYawspeed(forward, right, 0.0, 0.0))
-        time.sleep(SIDE_S / SPEEDUP)
-        place = telemetry.position_velocity_ned().position
-        corners.append((place.north_m, place.east_m))
-    assert is_square(corners)
+
+        def went(start=start, forward=forward, right=right) -> bool:
+            now = telemetry.position_velocity_ned().position
+            return forward * (now.north_m - start.north_m) + right * (now.east_m - start.east_m) > SIDE_M
+
+        until(f"a side along {forward, right}", went)
     offboard.stop()
     action.land()
     until("down and disarmed", lambda: not telemetry.armed() and not telemetry.in_air())
@@ -91,7 +93,7 @@ def test_a_plain_pymavlink_client_arms_takes_off_flies_a_square_and_lands(rules,
     link = mavutil.mavlink_connection(f"udpin:127.0.0.1:{port}", source_system=255)
     try:
         with autopilot(rules, port):
-            assert link.wait_heartbeat(timeout=10) is not None
+            assert link.wait_heartbeat(timeout=START_S) is not None
             fly_with_pymavlink(link, guided="GUIDED" if rules == "ardupilot" else "OFFBOARD")
     finally:
         link.close()
@@ -108,8 +110,9 @@ def fly_with_pymavlink(link, guided: str) -> None:
         while time.monotonic() < end:
             setpoint = 0, 1, 1, 8, 0x05C7, 0, 0, 0, forward, right, 0, 0, 0, 0, 0, 0
             link.mav.set_position_target_local_ned_send(*setpoint)
-            link.recv_msg()
             time.sleep(0.02)
+            while link.recv_msg() is not None:
+                pass
 
     for number in (32, 245):  # LOCAL_POSITION_NED, EXTENDED_SYS_STATE
         link.mav.command_long_send(1, 1, 511, 0, number, 1e6 / 20, 0, 0, 0, 0, 0)
@@ -123,23 +126,18 @@ def fly_with_pymavlink(link, guided: str) -> None:
     stream(1.5 / SPEEDUP)
     if guided == "OFFBOARD":
         link.mav.command_long_send(1, 1, 176, 0, 1, 6, 0, 0, 0, 0, 0)
-    corners = []
     for forward, right in SQUARE:
-        stream(SIDE_S / SPEEDUP, forward, right)
-        while link.recv_msg() is not None:
-            pass
-        place = link.messages["LOCAL_POSITION_NED"]
-        corners.append((place.x, place.y))
-    assert is_square(corners)
+        start = heard("LOCAL_POSITION_NED")
+
+        def went(start=start, forward=forward, right=right) -> bool:
+            stream(0.05, forward, right)
+            now = link.messages["LOCAL_POSITION_NED"]
+            return forward * (now.x - start.x) + right * (now.y - start.y) > SIDE_M
+
+        until(f"a side along {forward, right}", went)
     link.mav.command_long_send(1, 1, 21, 0, 0, 0, 0, 0, 0, 0, 0)
     until("landed", lambda: heard("EXTENDED_SYS_STATE").landed_state == 1)
     until("disarmed", lambda: not heard("HEARTBEAT").base_mode & 128)
-
-
-def is_square(corners) -> bool:
-    """Whether the way goes north, east, south, west by metres (the vehicle coasts, so its corners are round)."""
-    sides = [(b[0] - a[0], b[1] - a[1]) for a, b in itertools.pairwise(corners)]
-    return sides[0][1] > 1.0 and sides[1][0] < -1.0 and sides[2][1] < -1.0 and corners[0][0] > 0.5
 
 
 def test_a_wrong_address_is_one_line_and_no_trace():
