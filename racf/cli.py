@@ -22,7 +22,7 @@ from racf.evaluate.boxfiles import write_boxes
 from racf.evaluate.pictures import frames_of
 from racf.evaluate.report import Report, Table, build_report
 from racf.evaluate.runner import Run, run_all, tasks
-from racf.evaluate.stored import Stored, read_stored, trackers_in
+from racf.evaluate.stored import Stored, read_stored, trackers_in, with_results
 from racf.evaluate.trackers import TrackerSpec
 
 WIDTH_IN_A_PIPE = 160  # columns, so that nothing is folded where no terminal says how wide it is
@@ -33,7 +33,7 @@ Many = tyro.conf.UseAppendAction[tuple[str, ...]]
 class Track:
     """Follow one box through a video file or a folder of pictures."""
 
-    source: tyro.conf.Positional[Path]
+    source: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SOURCE")]
     """Video file, or folder of numbered pictures."""
     init: str
     """The target in the first frame: x,y,w,h in 0-based pixels."""
@@ -49,7 +49,7 @@ class Track:
 class Eval:
     """One-pass evaluation on a benchmark, of trackers run here and of stored boxes."""
 
-    root: tyro.conf.Positional[Path]
+    root: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="ROOT")]
     """Folder of the benchmark."""
     benchmark: str = "folder"
     """folder, uav123, uav123@10fps, dtb70, uavdt or visdrone2018: the layout of ROOT."""
@@ -85,7 +85,7 @@ class Eval:
 class Bench:
     """Frames per second of every variant and of OpenCV's trackers, stage by stage, on one core."""
 
-    source: tyro.conf.Positional[Path | None] = None
+    source: Annotated[tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="[SOURCE]")] = None
     """Folder of sequences (as for `eval --benchmark folder`); rendered pictures if not given."""
     tracker: Many = ()
     """What to measure beside OpenCV's trackers (all variants and baselines, and racf,robust, if none is named)."""
@@ -147,7 +147,7 @@ def evaluate(command: Eval) -> None:
     sequences = _sequences(command.root, command.benchmark, command.only)
     stored = _stored(command.imports, sequences, {spec.label for spec in specs})
     runs = _run(command, specs, sequences)
-    report = build_report(sequences, runs, stored, _published(command.root, sequences))
+    report = build_report(sequences, runs, stored, with_results(command.root / "results", sequences))
     tables = [report.overall()] if command.table is None else [studies.lay_out(command.table, report, grid)]
     if command.out is not None:
         _write(report, [*tables, *report.by_group(), report.by_sequence()], command.out)
@@ -192,7 +192,7 @@ def bench(command: Bench) -> None:
         clips = speed.rendered_clips(command.frames)
     else:
         sequences = _sequences(command.source, "folder", command.only)
-        published = _published(command.source, sequences)
+        published = with_results(command.source / "results", sequences)
         clips = speed.clips_of([s for s in sequences if not published or s.name in published], command.frames)
     if not others:
         _say("OpenCV here has neither CSRT nor KCF; `make bench` builds an environment that has")
@@ -234,12 +234,6 @@ def _sequences(root: Path, benchmark: str, only: tuple[str, ...]) -> list[Sequen
     if not chosen:
         raise UsageError(f"--only {' '.join(only)} leaves none of {len(sequences)} sequences")
     return chosen
-
-
-def _published(root: Path, sequences: list[Sequence]) -> set[str]:
-    """Names of the sequences with a result in ROOT/results, which are those that others' figures are over."""
-    folder = root / "results"
-    return {name for t in trackers_in(folder, sequences) for name in read_stored(folder, t, sequences).boxes}
 
 
 def _matches(sequence: Sequence, pattern: str) -> bool:
