@@ -5,12 +5,15 @@ bytes (https://mavlink.io/en/guide/message_signing.html).  A receiver refuses a 
 so the time must survive a restart and a clock set back.
 """
 
+import logging
 import os
 import stat
 import time
 from pathlib import Path
 
 from pymavlink.dialects.v20 import common as dialect
+
+log = logging.getLogger(__name__)
 
 KEY_BYTES = 32
 EPOCH_S = 1_420_070_400  # 2015-01-01 00:00 UTC in Unix time
@@ -22,7 +25,7 @@ class Signing:
     """A key and its clock.  `path` holds 32 bytes, raw or as 64 hexadecimal digits, and is readable by its owner only.
 
     The time of the last packet is kept beside it in `<path>.time`.  Raises ValueError for a file that is open to
-    others or holds no key.
+    others or holds no key, OSError when the time cannot be kept.
     """
 
     def __init__(self, path: Path):
@@ -30,6 +33,7 @@ class Signing:
         self._time_path = path.with_name(path.name + ".time")
         self._floor = _read_time(self._time_path)
         self._saved = self._floor
+        _write_time(self._time_path, self._floor)
 
     def install(self, mav: dialect.MAVLink) -> None:
         """Make `mav` sign what it sends and refuse what is not signed with the same key."""
@@ -44,7 +48,10 @@ class Signing:
         mav.signing.timestamp = max(mav.signing.timestamp, now, self._floor)
         if mav.signing.timestamp >= self._saved:
             self._saved = mav.signing.timestamp + SAVE_EVERY
-            _write_time(self._time_path, self._saved)
+            try:
+                _write_time(self._time_path, self._saved)
+            except OSError as error:  # a full disk must not end a flight; the clock will be right after a restart
+                log.warning("the signing time is not kept in %s: %s", self._time_path, error)
 
 
 def read_key(path: Path) -> bytes:

@@ -99,3 +99,19 @@ def test_the_stored_time_survives_a_half_written_file(tmp_path):
     (tmp_path / "signing.key.time").write_text("12x")
     assert signed_at(Packets(1, 191, Signing(key))) > 0
     assert not os.path.exists(tmp_path / "signing.key.time.new")
+
+
+def test_a_time_that_cannot_be_kept_stops_the_start_and_not_the_flight(tmp_path, monkeypatch, caplog):
+    key = key_file(tmp_path)
+    packets = Packets(1, 191, Signing(key))
+
+    def full(*_paths: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.replace", full)
+    late = 2.0e9
+    monkeypatch.setattr("time.time", lambda: late)
+    assert signed_at(packets) > 0
+    assert "No space left" in caplog.text
+    with pytest.raises(OSError, match="No space left"):
+        Signing(key)
