@@ -15,7 +15,7 @@ Message = dialect.MAVLink_message
 
 MAGIC_V1, MAGIC_V2 = dialect.PROTOCOL_MARKER_V1, dialect.PROTOCOL_MARKER_V2
 SIGNED = dialect.MAVLINK_IFLAG_SIGNED
-LONGEST = 280  # bytes: header 10, payload 255, checksum 2, signature 13
+HEADER_V1, HEADER_V2, CHECKSUM, SIGNATURE = 6, 10, 2, 13  # bytes
 
 
 class SignedMAVLink(dialect.MAVLink):
@@ -69,7 +69,7 @@ class Packets:
             length = packet_length(buffer, start)
             if length is None or start + length > len(buffer):
                 break
-            message = self._decode(buffer[start : start + length])
+            message = self._decode(buffer[start : start + length]) if length else None
             if message is None:
                 start += 1
                 self.unreadable += 1
@@ -107,17 +107,24 @@ class Packets:
                 return None
             self.refused += 1
             return dialect.MAVLink_bad_data(packet, "signature")
-        return None if message.get_type().startswith("UNKNOWN") else message
+        return message
 
 
 def packet_length(buffer: bytearray, start: int) -> int | None:
-    """Bytes of the packet whose marker is at `start`; None while its header is incomplete."""
-    if len(buffer) < start + 3:
+    """Bytes of the packet whose marker is at `start`; None while its header is incomplete, 0 for no such packet.
+
+    Flags and type are looked at first: noise full of markers would else cost a checksum for each of them.
+    """
+    is_v2 = buffer[start] == MAGIC_V2
+    if len(buffer) < start + (HEADER_V2 if is_v2 else HEADER_V1):
         return None
-    payload, flags = buffer[start + 1], buffer[start + 2]
-    if buffer[start] == MAGIC_V1:
-        return payload + 8
-    return payload + 12 + (13 if flags & SIGNED else 0)
+    payload = buffer[start + 1]
+    if not is_v2:
+        return payload + HEADER_V1 + CHECKSUM if buffer[start + 5] in dialect.mavlink_map else 0
+    flags, number = buffer[start + 2], int.from_bytes(buffer[start + 7 : start + 10], "little")
+    if flags & ~SIGNED or number not in dialect.mavlink_map:
+        return 0
+    return payload + HEADER_V2 + CHECKSUM + (SIGNATURE if flags & SIGNED else 0)
 
 
 def as_bytewise_int(value: float) -> int:
