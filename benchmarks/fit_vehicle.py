@@ -34,7 +34,7 @@ T = np.arange(0.0, DURATION_S, STEP_S)
 def read(path: Path) -> dict[str, tuple[Setpoint, Setpoint, np.ndarray]]:
     """Each step's (command before, command, samples resampled onto T as rows of COLUMNS[1:])."""
     steps: dict[str, tuple[Setpoint, list[list[float]]]] = {}
-    for row in csv.DictReader(path.open()):
+    for row in csv.DictReader(path.read_text().splitlines()):
         if row["label"] == "prestream" or not row["cmd_vx"]:
             continue
         command = Setpoint(*(float(row[name]) for name in COMMAND))

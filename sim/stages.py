@@ -156,7 +156,8 @@ def wall_between(random: Generator, kind: Kind, duration_s: float) -> World:
     """The actor turns off behind a wall that hides it for about 3 s."""
     points, side = corner(random)
     actor = Actor(kind, route(kind, legs(points), duration_s), look(random, kind))
-    long = 3.0 * GAITS[kind].speed_m_s + 0.6  # and its own width
+    # The drone comes round the corner meanwhile and looks along the wall, which so hides for longer than its length.
+    long = 2.2 * GAITS[kind].speed_m_s
     place = points[-1][0] - 1.3
     blocks = wall(place, side * 6.0, long, side * math.pi / 2, 4.0)
     return furnished(random, World((actor,), blocks, roads=(path(points),), sun=sun(random)))
@@ -166,7 +167,7 @@ def trees_between(random: Generator, kind: Kind, duration_s: float) -> World:
     """The actor turns off behind a row of bushy trees for about 3 s."""
     points, side = corner(random)
     actor = Actor(kind, route(kind, legs(points), duration_s), look(random, kind))
-    long = 3.0 * GAITS[kind].speed_m_s
+    long = 1.3 * GAITS[kind].speed_m_s
     place = points[-1][0] - 2.2
     row: list[Tree] = []
     for k in range(4):
