@@ -120,6 +120,10 @@ class MavlinkClient:
             self._judge_control()
         return messages
 
+    def is_from_vehicle(self, message: Message) -> bool:
+        """Whether the vehicle's autopilot sent it; its other components may live elsewhere."""
+        return (message.get_srcSystem(), message.get_srcComponent()) == (self.vehicle_id, AUTOPILOT)
+
     def take(self) -> list[bytes]:
         """The packets to be sent now, in order; each is handed out once."""
         out, self._out = self._out, []

@@ -90,7 +90,7 @@ class MavlinkLink:
             except Empty:
                 break
             found = self.client.receive(data, t_s, self._wire.datagrams)
-            if any(message.get_srcSystem() == self.client.vehicle_id for message in found):
+            if any(self.client.is_from_vehicle(message) for message in found):
                 self._wire.answer_to(source)
             if self._tlog is not None:
                 unix_s = time.time() - (time.monotonic() - t_s)

@@ -6,6 +6,8 @@ the link first and everything behind it then.
 
 import contextlib
 import math
+import select
+import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -13,6 +15,7 @@ from dataclasses import dataclass
 
 import pytest
 from autopilot_pair import CONTROL, HOLD, STEP_S, Pair
+from pymavlink.dialects.v20 import common as dialect
 
 from follow.link import Link
 from follow.messages import HOVER, Autopilot, Setpoint, VehicleState
@@ -167,6 +170,57 @@ def test_a_link_written_wrongly_is_named(uri):
 def test_a_device_that_is_not_there_is_named(tmp_path):
     with pytest.raises(RuntimeError, match="cannot be opened"):
         connect(f"serial:{tmp_path / 'ttyNONE'}:57600")
+
+
+def test_a_camera_of_the_same_system_does_not_become_the_addressee():
+    link = connect("udpin:127.0.0.1:0")
+    with link, ends_of(link) as (vehicle, camera):
+        until_sent(link, vehicle)
+        for stranger in (camera, camera, camera):
+            stranger.say(100, dialect.MAV_TYPE_CAMERA)
+        until_sent(link, vehicle)
+        assert not camera.hears()
+
+
+@dataclass
+class End:
+    """A UDP socket that speaks MAVLink to the link."""
+
+    socket: socket.socket
+    to: tuple[str, int]
+
+    def say(self, component: int, kind: int) -> None:
+        mav = dialect.MAVLink(None, 1, component)
+        autopilot = 12 if component == 1 else 8
+        self.socket.sendto(mav.heartbeat_encode(kind, autopilot, 1, 0, 4).pack(mav), self.to)
+
+    def hears(self) -> bool:
+        return bool(select.select([self.socket], [], [], 0.0)[0])
+
+
+@contextlib.contextmanager
+def ends_of(link) -> Iterator[tuple[End, End]]:
+    with contextlib.ExitStack() as stack:
+        ends = []
+        for _ in range(2):
+            end = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+            end.bind(("127.0.0.1", 0))
+            ends.append(End(end, ("127.0.0.1", link._wire.port)))
+        yield ends[0], ends[1]
+
+
+def until_sent(link, vehicle: End) -> None:
+    """The vehicle speaks until it is spoken to; what it then hears is taken away."""
+    for _ in range(500):
+        vehicle.say(1, dialect.MAV_TYPE_QUADROTOR)
+        link.state()
+        link.send(HOVER)
+        if vehicle.hears():
+            while vehicle.hears():
+                vehicle.socket.recv(1000)
+            return
+        time.sleep(0.01)
+    raise AssertionError("the vehicle was never spoken to")
 
 
 def test_without_a_vehicle_the_wait_ends_and_names_what_is_missing():
