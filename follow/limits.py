@@ -32,7 +32,7 @@ class Limits:
     position_age_s: float = 0.5  # 4 m at the speed limit: the stand-off
     heartbeat_age_s: float = 3.0  # three missed heartbeats
     coast_after_s: float = 0.25  # unseen for so long is lost
-    search_after_s: float = 2.5  # and so long: hover and search
+    search_after_s: float = 4.0  # and so long: hover and search; from half of it on slower and slower
     give_up_after_s: float = 20.0  # a walker may by then be 28 m from where it was predicted
     brake_s: float = 1.0  # stale data may come back for so long before the stream stops
     order_s: float = 30.0  # an order to follow that could not be obeyed for so long is void

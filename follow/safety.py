@@ -106,7 +106,8 @@ def goal(mode: Mode, wish: Setpoint, unseen_s: float, limits: Limits) -> Setpoin
     wish = Setpoint(*(clipped(getattr(wish, name), PLAUSIBLE) for name in Setpoint.__slots__))
     if mode is Mode.FOLLOW:
         return wish
-    share = clipped(max(1 - unseen_s / limits.search_after_s, 0.0), 1.0) if mode is Mode.COAST else 0.0
+    # The first half of the time all of it: behind a post or a bush a walker goes on, and so must the view.
+    share = clipped(max(2 - 2 * unseen_s / limits.search_after_s, 0.0), 1.0) if mode is Mode.COAST else 0.0
     turn = clipped(wish.yaw_rate_rad_s, limits.search_rad_s)
     return Setpoint(wish.forward_m_s * share, wish.right_m_s * share, wish.down_m_s * share, turn)
 

@@ -36,8 +36,11 @@ class TargetConfig:
     gate_size: float = 2.0  # ... nor one so many times larger or smaller than expected
     lost_after_s: float = 0.5  # unseen for so long, a box must prove itself ...
     confirm: int = 3  # ... in so many pictures in a row
-    regain_psr: float = 0.6  # ... each with so much of the sharpness (PSR) that the target used to have
-    psr_rate: float = 0.02  # ... a running mean over about two seconds of what was accepted
+    lose_psr: float = (
+        0.5  # a response with less than this share of the target's usual sharpness (PSR) is something else
+    )
+    regain_psr: float = 0.6  # ... and after a loss one with less than this
+    psr_rate: float = 0.01  # ... usual: the running mean over about three seconds of what was accepted
     coast_s: float = 10.0  # time constant by which an unseen target is thought to slow down
     wait_s: float = 0.1  # a box waits so long for the attitude of its time; as old as the gate lets attitude be
     compensate: bool = True  # use the pose at the picture's time and predict over the delay
@@ -132,12 +135,16 @@ class Target:
     seen_t_s: float = NEVER
     proofs: int = 0
     usual_psr: float = 0.0
+    on_trial: bool = False
     waiting: deque[tuple[float, Track]] = field(default_factory=lambda: deque[tuple[float, Track]](maxlen=16))
 
     def predict(self, state: VehicleState, t_s: float) -> Box | None:
-        """Where in the picture of `t_s` the target should appear, or None for where it last did."""
+        """Where in the picture of `t_s` the target should appear, or None for where the tracker has it.
+
+        None, too, while the tracker has found something again that is yet to prove itself: it must stay on it.
+        """
         self.motion.add(state)
-        if self.filter is None or self.box is None:
+        if self.filter is None or self.box is None or self.on_trial:
             return None
         pose = self.pose(state, t_s)
         f = self.carried(t_s)
@@ -157,6 +164,7 @@ class Target:
             t_s, track = self.waiting.popleft()
             if not (track.found and self.accept(track, t_s, self.pose(state, t_s))):
                 self.proofs = 0
+            self.on_trial = self.proofs > 0
         return self.estimate(state)
 
     def readable(self, t_s: float, state: VehicleState) -> bool:
@@ -189,9 +197,10 @@ class Target:
             place = self.place(box, pose, f.size_m, f.size_var)
             if not self.plausible(f, place, box, pose):
                 return False
-            if t_s - self.seen_t_s > c.lost_after_s:
-                if track.psr < c.regain_psr * self.usual_psr:
-                    return False
+            lost = t_s - self.seen_t_s > c.lost_after_s
+            if track.psr < (c.regain_psr if lost else c.lose_psr) * self.usual_psr:
+                return False
+            if lost:
                 self.proofs += 1
                 if self.proofs < c.confirm:
                     return True

@@ -118,7 +118,9 @@ class Racf:
     def _expected(self, prior: Box | None, ego: tuple[float, float]) -> Box:
         """The last box where it should be by now: at the caller's prior, or moved as camera and target moved."""
         if prior is not None:
-            return Box.around(prior.centre_x, prior.centre_y, self._box.w, self._box.h)
+            # While the target is seen, the scale filter knows its size better than any caller.
+            size = prior if self._confidence.lost_frames else self._box
+            return Box.around(prior.centre_x, prior.centre_y, size.w, size.h)
         if not self.params.robust:
             return self._box
         moved = self._box.moved(*ego)
