@@ -41,7 +41,8 @@ class TargetConfig:
     )
     regain_psr: float = 0.6  # ... and after a loss one with less than this
     psr_rate: float = 0.01  # ... usual: the running mean over about three seconds of what was accepted
-    coast_s: float = 10.0  # time constant by which an unseen target is thought to slow down
+    steady_s: float = 6.0  # an unseen target is thought to go on as it did for so long: past a wall or some trees ...
+    coast_s: float = 6.0  # ... and then to slow down with this time constant
     wait_s: float = 0.1  # a box waits so long for the attitude of its time; as old as the gate lets attitude be
     compensate: bool = True  # use the pose at the picture's time and predict over the delay
 
@@ -231,11 +232,11 @@ class Target:
         return camera_to_ned(self.down_rad, pose.roll_rad, pose.pitch_rad, pose.yaw_rad)
 
     def carried(self, t_s: float) -> Filter:
-        """The filter at `t_s`.  A target unseen for longer than `lost_after_s` is thought to slow down."""
+        """The filter at `t_s`.  A target unseen for longer than `steady_s` is thought to slow down."""
         assert self.filter is not None
         c = self.config
         f = predicted(self.filter, t_s, c.accel_psd)
-        unseen = f.t_s - self.filter.t_s - c.lost_after_s
+        unseen = f.t_s - self.filter.t_s - c.steady_s
         if unseen <= 0:
             return f
         slowed = c.coast_s * (1 - math.exp(-unseen / c.coast_s))

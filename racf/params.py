@@ -63,8 +63,9 @@ class Params:
     learn_above: float = 0.6  # ... that is: confidence (PSR and peak over their running means) of at least this
     lost_below: float = 0.5  # lost below this confidence ...
     regain_above: float = 0.7  # ... until one of this is met
-    confidence_rate: float = 0.1  # of the running means: a memory of ten clear frames ...
-    confidence_rate_doubtful: float = 0.01  # ... and of a hundred others
+    confidence_rate: float = 0.01  # of the running means: a memory of a hundred clear frames, for at 0.1 they follow
+    # a slow occlusion (PSR 14 to 5 within 0.7 s) down and call the wall the target [measured, sim wall] ...
+    confidence_rate_doubtful: float = 0.002  # ... and of five hundred others
     limit_scale: bool = True  # at most one scale step a frame
     predict_motion: bool = True  # look where the target's smoothed motion says
     velocity_rate: float = 0.35  # of that motion's running mean [measured]
@@ -72,6 +73,7 @@ class Params:
     ego_motion: bool = False  # ... and where the camera's own motion says: cost accuracy [measured]
     coast: bool = True  # a lost target's box follows the prediction, not the response
     redetect: bool = True  # look further afield for a lost target
+    redetect_glance: float = 0.35  # a candidate off the middle, which the window dims, gets a closer look from here on
     redetect_places: int = 4  # more places a frame, half a search region apart ...
     redetect_reach: int = 3  # ... up to this many steps to each side
 

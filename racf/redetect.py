@@ -31,6 +31,8 @@ class Redetection:
             self._next = 0
         rows, cols = image.shape[:2]
         step = translation.region(expected).w / 2
+        if (again := self.closer(image, here, translation, confidence)) is not None:
+            return again, Verdict.CLEAR
         for _ in range(self.params.redetect_places):
             i, j = self._places[self._next]
             self._next = (self._next + 1) % len(self._places)
@@ -38,11 +40,18 @@ class Redetection:
             if not (0 <= place.centre_x < cols and 0 <= place.centre_y < rows):
                 continue
             first = translation.locate(image, place)
-            if confidence.ratio(first.psr, first.value) < self.params.lost_below:
-                continue
-            # A second look, centred: the cosine window no longer dims the candidate, its surroundings are whole.
-            again = translation.locate(image, first.box)
-            if confidence.ratio(again.psr, again.value) >= self.params.regain_above:
-                confidence.lost_frames = 0
+            if (again := self.closer(image, first, translation, confidence)) is not None:
                 return again, Verdict.CLEAR
         return here, Verdict.LOST
+
+    def closer(
+        self, image: UInt8, first: Match, translation: TranslationFilter, confidence: Confidence
+    ) -> Match | None:
+        """A second look, centred: the cosine window no longer dims the candidate, its surroundings are whole."""
+        if confidence.ratio(first.psr, first.value) < self.params.redetect_glance:
+            return None
+        again = translation.locate(image, first.box)
+        if confidence.ratio(again.psr, again.value) < self.params.regain_above:
+            return None
+        confidence.lost_frames = 0
+        return again
