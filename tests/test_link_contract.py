@@ -34,10 +34,13 @@ class Rig:
     mode: Callable[[], str]
     take_control: Callable[[], None]
 
-    def stream(self, seconds: float, setpoint: Setpoint | None) -> VehicleState:
+    def stream(
+        self, seconds: float, setpoint: Setpoint | None, enough: Callable[[VehicleState], bool] = lambda _: False
+    ) -> VehicleState:
+        """Send the setpoint for so long, or until the vehicle's state is enough."""
         state = self.link.state()
         end_s = state.t_s + seconds
-        while state.t_s < end_s:
+        while state.t_s < end_s and not enough(state):
             self.link.send(setpoint)
             self.pass_time(0.03)
             state = self.link.state()
@@ -136,11 +139,11 @@ def test_a_flight_over_a_link_is_obeyed_and_ends_in_hover(opened, autopilot):
         rig.stream(0.3, HOVER)
         assert rig.mode() == before  # never unasked
         rig.take_control()
-        state = rig.stream(2.6, HOVER)
+        state = rig.stream(8.0, HOVER, lambda state: state.in_control)
         assert rig.mode() == CONTROL[autopilot]
         assert state.in_control
         assert state.mode == state.commanded_mode == CONTROL[autopilot]
-        state = rig.stream(1.5, Setpoint(forward_m_s=1.0))
+        state = rig.stream(8.0, Setpoint(forward_m_s=1.0), lambda state: state.body_velocity_m_s()[0] > 0.5)
         assert state.body_velocity_m_s()[0] > 0.5
     assert rig.mode() == HOLD[autopilot]
 
@@ -155,7 +158,7 @@ def test_a_vehicle_that_is_not_ours_is_left_alone(opened):
 def test_an_exception_in_flight_still_ends_in_hover():
     with contextlib.suppress(ZeroDivisionError), over_udp(Autopilot.ARDUPILOT) as rig:
         rig.take_control()
-        rig.stream(1.0, HOVER)
+        rig.stream(8.0, HOVER, lambda state: state.in_control)
         assert rig.mode() == "GUIDED"
         _ = 1 / 0
     assert rig.mode() == "BRAKE"
