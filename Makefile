@@ -40,6 +40,10 @@ $(BENCH)/.installed: pyproject.toml requirements.lock
 bench: $(BENCH)/.installed
 	$(BENCH)/bin/racf bench $(SOURCE)
 
+# The main job, end to end: a simulated walker, followed, recorded and scored.
+demo: setup
+	$(BIN)/follow sim walker --out out/demo
+
 # What needs the extras: the Dask cluster, OpenCV's own trackers.
 test-extras: $(BENCH)/.installed
 	$(BENCH)/bin/python -m pytest tests/test_evaluate_runner.py tests/test_evaluate_speed.py tests/test_evaluate_peers.py

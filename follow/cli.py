@@ -5,7 +5,7 @@ import sys
 from collections.abc import Sequence
 
 from follow.camera import CameraError
-from follow.commands import Command, Doctor, Inspect, Replay, Run, Sim
+from follow.commands import MARKERS, Command, Doctor, Inspect, Replay, Run, Sim
 from follow.doctor import NotFitError
 from follow.link import LinkError
 from racf.commandline import run
@@ -47,6 +47,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv,
         prog="follow",
         description="Keep a target in view: PX4 and ArduPilot, replayed footage, or a simulated flight.",
+        config=MARKERS,
         failures=(CameraError, LinkError, NotFitError),
     )
 

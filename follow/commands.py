@@ -14,6 +14,7 @@ from racf.commandline import UsageError
 Settings = Annotated[Config, tyro.conf.arg(name="")]
 
 TRACKER = "racf,robust"
+MARKERS = (tyro.conf.EnumChoicesFromValues,)  # px4, not PX4, is what is typed
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,6 +5,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -164,7 +165,7 @@ class Explanation:
         say("setpoint/yaw_rate", rr.SeriesLines(names=["sent"], colors=[SENT[0]]))
 
 
-def layout() -> rrb.Blueprint:
+def layout(play_state: Literal["paused", "playing", "following"] = "paused") -> rrb.Blueprint:
     """Picture, mode and messages on the left; what the tracker saw, and what was commanded, on the right."""
     left = rrb.Vertical(
         rrb.Spatial2DView(origin="/picture", name="What the camera sees: target, search region, truth"),
@@ -198,7 +199,7 @@ def layout() -> rrb.Blueprint:
     )
     return rrb.Blueprint(
         rrb.Horizontal(left, right, column_shares=[3, 2]),
-        rrb.TimePanel(state="collapsed", timeline="seconds"),
+        rrb.TimePanel(state="collapsed", timeline="seconds", play_state=play_state),
         rrb.BlueprintPanel(state="hidden"),
         rrb.SelectionPanel(state="hidden"),
     )

@@ -1,0 +1,84 @@
+"""What the README shows works: its commands are read, its footage commands run, its loop flies."""
+
+import json
+import re
+import shlex
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from follow.acquire import Acquire
+from follow.cli import main
+from follow.commands import MARKERS, Command
+from follow.messages import Autopilot, Order, Tick
+from follow.safety import Safety
+from follow.servo import Servo
+from follow.target import Target
+from racf import Racf
+from racf.commandline import parse
+from sim.clip import write
+from sim.scenarios import SCENARIOS, build
+
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text()
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", README, re.MULTILINE | re.DOTALL)
+
+
+def commands(program: str) -> list[list[str]]:
+    lines = [line.split("#")[0].strip() for block in blocks("sh") for line in block.splitlines()]
+    words = [shlex.split(line) for line in lines]
+    return [w[1:] for w in words if w and Path(w[0]).name == program]
+
+
+@pytest.mark.parametrize("words", commands("follow"), ids=" ".join)
+def test_every_follow_command_of_the_readme_is_understood(words):
+    assert parse(Command, words, prog="follow", description="", config=MARKERS) is not None
+
+
+@pytest.mark.parametrize("words", commands("make"), ids=" ".join)
+def test_every_make_word_of_the_readme_exists(words):
+    targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    assert set(words) <= set(targets)
+
+
+@pytest.mark.parametrize("words", [w for w in commands("follow") if w[0] == "replay"], ids=" ".join)
+def test_the_footage_commands_of_the_readme_run(words, tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    write(Path("clip.mp4"), 12)
+    assert main([*words, "--json"] if "--json" not in words else words) == 0
+    assert json.loads(capfd.readouterr().out)["frames"] == 12
+    for name in ("flight.rrd", "ticks.csv", "summary.json"):
+        assert (tmp_path / "out/replay" / name).is_file()
+
+
+def test_the_loop_of_the_readme_flies():
+    (loop,) = blocks("python")
+    assert len(loop.splitlines()) == 8
+    camera, link, _ = build(replace(SCENARIOS["walker"], duration_s=0.5), 0, Autopilot.PX4)
+    box = camera.first()[1]
+    tracker = Racf()
+    safety = Safety()
+    safety.order(Order.FOLLOW)
+    ticks: list[Tick] = []
+    parts = {
+        "camera": camera,
+        "link": link,
+        "tracker": Acquire(tracker.init, tracker.update, box),
+        "target": Target(camera.settings.intrinsics, camera.settings.down_rad),
+        "servo": Servo(camera.settings.down_rad),
+        "safety": safety,
+        "record": ticks.append,
+        "Tick": Tick,
+    }
+    exec(loop, parts)  # the reader's own code
+    assert len(ticks) == 16
+    assert ticks[-1].decision.mode == "follow"
+
+
+def test_the_picture_and_the_pages_of_the_readme_are_there():
+    for path in re.findall(r"\]\(((?!https?:)[^)#]+)", README):
+        assert (ROOT / path).is_file(), path
