@@ -77,6 +77,22 @@ class Params:
     redetect_places: int = 4  # more places a frame, half a search region apart ...
     redetect_reach: int = 3  # ... up to this many steps to each side
 
+    def __post_init__(self) -> None:
+        at_least = {
+            "cell_px": 1, "admm_iterations": 1, "newton_iterations": 0, "scales": 3, "refine_size_px": 8,
+            "refine_iterations": 1, "redetect_places": 0, "redetect_reach": 1, "search_area": 1.0,
+            "sample_min_px": 4 * self.cell_px, "sample_max_px": self.sample_min_px,
+            "scale_model_area_px": 4 * self.cell_px**2,
+        }  # fmt: skip
+        for name, least in at_least.items():
+            if getattr(self, name) < least:
+                raise ValueError(f"{name} is at least {least}, not {getattr(self, name)}")
+        for name in ("label_sigma", "penalty", "penalty_growth", "penalty_max", "scale_sigma", "scale_ridge"):
+            if getattr(self, name) <= 0:
+                raise ValueError(f"{name} is positive, not {getattr(self, name)}")
+        if self.scale_step <= 1:
+            raise ValueError(f"scale_step is above 1, not {self.scale_step}")
+
     @classmethod
     def field_types(cls) -> dict[str, type]:
         """Name and type (bool, int or float) of every parameter, for a command line's `--set name=value`."""

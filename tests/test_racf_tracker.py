@@ -124,5 +124,7 @@ def test_settings_are_parsed_by_their_type_and_refused_by_name():
         params.with_settings({"eta": "1"})
     with pytest.raises(ValueError, match="admm_iterations is a number"):
         params.with_settings({"admm_iterations": "two"})
+    with pytest.raises(ValueError, match="admm_iterations is at least 1, not 0"):
+        params.with_settings({"admm_iterations": "0"})
     with pytest.raises(ValueError, match="no tracker 'kcf'"):
         preset("kcf")
