@@ -26,7 +26,11 @@ class ScaleFilter:
 
     def __init__(self, params: Params, base_w: float, base_h: float) -> None:
         self.params, cell = params, params.cell_px
-        shrink = min(1.0, math.sqrt(params.scale_model_area_px / (base_w * base_h)))
+        # In the pixels of the fixed-size sample, as in ARCF: a target of ten pixels is enlarged, too, before it is
+        # described, or it would be left with a cell or two.
+        side = math.sqrt(base_w * base_h) * params.search_area
+        zoom = min(max(side, params.sample_min_px), params.sample_max_px) / side
+        shrink = min(zoom, math.sqrt(params.scale_model_area_px / (base_w * base_h)))
         # At least two cells a side: with one there is no shape to compare.
         self.model_w = max(2, math.floor(base_w * shrink / cell)) * cell
         self.model_h = max(2, math.floor(base_h * shrink / cell)) * cell

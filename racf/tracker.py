@@ -73,14 +73,14 @@ class Racf:
             clock.lap("redetect")
             if verdict is not Verdict.LOST:
                 self._velocity.forget()  # the way here was a jump, not a motion
-                before = match.box
+                before = expected = match.box
         if params.robust and params.coast and verdict is Verdict.LOST:
             self._box = self._kept_inside(expected)
             self._velocity.unseen()
-            return self._track(match, None, verdict, clock)
+            return self._track(expected, match, None, verdict, clock)
         self._box = self._kept_inside(match.box)
         trusted = verdict is Verdict.CLEAR or not (params.robust and params.gate_learning)
-        if trusted or not params.limit_scale:
+        if trusted:
             self._estimate_scale(image)
         clock.lap("scale")
         refinement = self._refine(image) if trusted else None
@@ -91,12 +91,14 @@ class Racf:
             self._scale.learn(image, self._box)
             clock.lap("learn scale")
         self._velocity.seen(before, self._box, ego)
-        return self._track(match, refinement, verdict, clock)
+        return self._track(expected, match, refinement, verdict, clock)
 
-    def _track(self, match: Match, refinement: Refinement | None, verdict: Verdict, clock: "_Stopwatch") -> Track:
+    def _track(
+        self, looked_at: Box, match: Match, refinement: Refinement | None, verdict: Verdict, clock: "_Stopwatch"
+    ) -> Track:
         return Track(
             box=self._box,
-            search=self._filter.region(match.box),
+            search=self._filter.region(looked_at),
             psr=match.psr,
             apce=match.apce,
             confidence=self._confidence.ratio(match.psr, match.value),
