@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 
 from follow.camera import Camera
 from follow.commands import Run, box_of
-from follow.flight import Parts, RealTime, Spoken, preflight, unwaived
-from follow.flight import fly as fly_parts
+from follow.flight import Parts, Spoken, fly, preflight, unwaived
 from follow.geometry import Intrinsics
 from follow.link import Link
+from follow.live import RealTime
 from follow.messages import Autopilot, Tick
 from follow.operator import Operator
 from follow.pymavlink_link import connect
@@ -102,7 +102,7 @@ def fly_live(command: Run) -> None:
                     Servo(seen.down_rad, config.servo),
                     gate(config, seen.lens),
                 )
-                fly_parts(parts, operator, recorder, seen.truth, command.seconds)
+                fly(parts, operator, lambda tick: recorder.tick(tick, seen.truth(tick)), command.seconds)
             autopilot = link.state().autopilot
         figures: Figures = {"tracker": command.tracker, "autopilot": autopilot.value if autopilot else ""}
         figures = recorder.close(figures)

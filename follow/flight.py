@@ -9,23 +9,18 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Protocol
-
-from typing_extensions import Self
 
 from follow.camera import Camera
 from follow.doctor import Finding, Verdict, check_disk, check_signing, check_time, check_vehicle
 from follow.link import Link
+from follow.live import NewPictures
 from follow.loop import Safety, Servo, Target, Tracker, follow
-from follow.messages import HOVER, NEVER, Estimate, Frame, Tick
+from follow.messages import HOVER, NEVER, Estimate, Tick
 from follow.modes import Mode
 from follow.operator import Keys, Operator, Report, signals
 from follow.pymavlink_link import MavlinkLink
-from follow.record import Recorder
 from follow.service import Service
-from follow.video import Replay
-from racf.box import Box
 
 ROUND_S = 0.05  # 20 setpoints a second while ramping down: the usual rate for either autopilot
 LEAVE_S = 10.0  # longer than the ramp from any speed (12 m/s at 2.5 m/s2 and the gate's patience: 6.5 s)
@@ -76,26 +71,32 @@ class Parts:
     safety: Safety
 
 
+def wait_a_round() -> None:
+    """Real time between two rounds of the ramp."""
+    time.sleep(ROUND_S)
+
+
 def fly(
     parts: Parts,
     operator: Operator,
-    recorder: Recorder,
-    truth: Callable[[Tick], Box | None] = lambda _tick: None,
+    record: Callable[[Tick], None],
     seconds: float = 0.0,
+    pause: Callable[[], None] = wait_a_round,
 ) -> None:
     """Fly until the camera ends, the operator leaves or `seconds` are over (0: no end), then ramp down.
 
     An error inside the loop is raised again after the ramp.
     """
     p, service = parts, Service()
-    loop = follow(p.camera, p.link, p.tracker, p.target, p.servo, p.safety, operator)
+    camera = NewPictures(p.camera)
+    loop = follow(camera, p.link, p.tracker, p.target, p.servo, p.safety, operator)
     began_t_s: float | None = None
     why = "an error"
     with signals(operator), Keys() as keys:
         service.ready()
         try:
             for tick in engaging(loop, p.link):
-                recorder.tick(tick, truth(tick))
+                record(tick)
                 operator.see(tick)
                 service.alive(tick.state.t_s, tick.decision.mode)
                 keys.read_into(operator)
@@ -106,8 +107,8 @@ def fly(
         finally:
             service.stopping()
             operator.report(f"leaving ({why}): ramping down")
-            for tick in ramping_down(p.link, p.safety, lambda: time.sleep(ROUND_S)):
-                recorder.tick(tick)
+            for tick in ramping_down(p.link, p.safety, pause):
+                record(tick)
                 operator.see(tick)
                 service.alive(tick.state.t_s, tick.decision.mode)
             service.close()
@@ -132,39 +133,6 @@ def unwaived(findings: Sequence[Finding], waived: Sequence[str], report: Report)
             report(f"{finding}{' (waived)' if finding.name in waived else ''}")
     red = (finding for finding in findings if finding.verdict is Verdict.RED and finding.name not in waived)
     return tuple(f"{finding.name} is red" for finding in red)
-
-
-class RealTime:
-    """A replayed camera in real time: each picture comes when it is due, and bears the time at which it came."""
-
-    def __init__(self, footage: Replay, clock: Callable[[], float] = time.monotonic) -> None:
-        self.footage = footage
-        self._clock = clock
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Width and height of its pictures."""
-        return self.footage.size
-
-    def frames(self) -> Iterator[Frame | None]:
-        """Yield each picture when it is due, or None for a round without one; a slow consumer misses pictures."""
-        began_s = self._clock()
-        for n, frame in enumerate(self.footage.frames()):
-            due_s = began_s + n / self.footage.fps
-            late_s = self._clock() - due_s
-            if late_s > 1 / self.footage.fps:
-                continue
-            time.sleep(max(-late_s, 0.0))
-            yield None if frame is None else Frame(frame.image, self._clock(), frame.index)
-
-    def __enter__(self) -> Self:
-        self.footage.__enter__()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.footage.__exit__(kind, error, trace)
 
 
 class Spoken(logging.Handler):

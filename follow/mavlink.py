@@ -264,5 +264,5 @@ class MavlinkClient:
                 self._ask = None
             elif mode != self._ask.from_mode:
                 self._ask = None  # somebody chose another mode meanwhile: theirs counts
-        if self._in_control and mode != self._names().control:
-            self._in_control = False
+        if self._in_control and (mode != self._names().control or not self._vehicle.state.armed):
+            self._in_control = False  # after a disarm, too, it is not ours again without an order

@@ -165,7 +165,10 @@ class Operator:
 
 @contextlib.contextmanager
 def signals(operator: Operator) -> Generator[None, None, None]:
-    """SIGUSR1 orders FOLLOW; Ctrl-C and SIGTERM leave.  Restores what they did before."""
+    """SIGUSR1 orders FOLLOW; Ctrl-C, SIGTERM and SIGHUP (the terminal is gone) leave.
+
+    Restores what they did before.
+    """
 
     def usr1(_number: int, _frame: FrameType | None) -> None:
         operator.order(Order.FOLLOW)
@@ -173,7 +176,7 @@ def signals(operator: Operator) -> Generator[None, None, None]:
     def end(number: int, _frame: FrameType | None) -> None:
         operator.leave("Ctrl-C" if number == signal.SIGINT else signal.Signals(number).name)
 
-    new = {signal.SIGUSR1: usr1, signal.SIGINT: end, signal.SIGTERM: end}
+    new = {signal.SIGUSR1: usr1, signal.SIGINT: end, signal.SIGTERM: end, signal.SIGHUP: end}
     old = {number: signal.signal(number, take) for number, take in new.items()}
     try:
         yield
