@@ -21,12 +21,15 @@ class Terminal:
 
     def __init__(self) -> None:
         self.listeners: list[Callable[[str], None]] = []
-        self._console = Console(stderr=True, highlight=False)
+        self._console = _Lasting(stderr=True, highlight=False)
 
     def report(self, text: str) -> None:
         """Print one line and tell the listeners."""
         line = " ".join(text.split())
-        self._console.print(line, markup=False, soft_wrap=True)
+        try:
+            self._console.print(line, markup=False, soft_wrap=True)
+        except OSError:  # the terminal was closed
+            self._console.quiet = True
         for listener in self.listeners:
             listener(line)
 
@@ -49,6 +52,14 @@ class Terminal:
         source = logging.getLogger(logger)
         source.setLevel(logging.INFO)
         source.addHandler(_Reporting(self.report))
+
+
+class _Lasting(Console):
+    """A console whose reader may go away: a flight does not end for want of a listener."""
+
+    def on_broken_pipe(self) -> None:
+        """Say nothing from now on."""
+        self.quiet = True
 
 
 class _Reporting(logging.Handler):

@@ -118,24 +118,37 @@ class Relay:
 
 
 class Pilot:
-    """A person with a ground station on the autopilot's second link."""
+    """A person with a ground station on the autopilot's second link.  A thread listens, so that nothing grows old."""
 
     def __init__(self, rules: str, port: int) -> None:
         from pymavlink import mavutil  # noqa: PLC0415 (it reads the environment when it is imported)
 
         self.rules = rules
-        self.known: dict = {}
+        self.known: dict[str, tuple[int, dialect.MAVLink_message]] = {}  # the autopilot's messages: how many, the last
         self.link = mavutil.mavlink_connection(f"udpout:127.0.0.1:{port}", source_system=255)
+        self._ending = threading.Event()
+        self._listener = threading.Thread(target=self._listen, daemon=True)
 
     def close(self) -> None:
+        self._ending.set()
+        self._listener.join()
         self.link.close()
+
+    def _listen(self) -> None:
+        while not self._ending.is_set():
+            message = self.link.recv_match(blocking=True, timeout=0.1)
+            if message is not None and message.get_srcComponent() == 1:
+                kind = message.get_type()
+                self.known[kind] = self.known.get(kind, (0, message))[0] + 1, message
 
     def meet(self) -> None:
         """Speak first until the autopilot answers, and ask for its position ten times a second."""
+        self.link.mav.heartbeat_send(6, 8, 0, 0, 4)
+        self._listener.start()
 
         def answered() -> bool:
             self.link.mav.heartbeat_send(6, 8, 0, 0, 4)
-            return self.link.recv_match(type="HEARTBEAT", blocking=True, timeout=0.2) is not None
+            return "HEARTBEAT" in self.known
 
         until("heard", answered, 30.0)
         for number in (32, 245):  # LOCAL_POSITION_NED, EXTENDED_SYS_STATE
@@ -154,7 +167,6 @@ class Pilot:
             until("in GUIDED", lambda: self.heard("HEARTBEAT").custom_mode == 4)
         self.command(400, 1)
         until("armed", lambda: bool(self.heard("HEARTBEAT").base_mode & 128))
-        self.known["HEARTBEAT"] = self.heard("HEARTBEAT")
         self.command(22, 0, 0, 0, 0, 0, 0, height_m if self.rules == "ardupilot" else 488.0 + height_m)
         until("up", lambda: -self.heard("LOCAL_POSITION_NED").z > height_m - 0.6, 30.0)
         if self.rules == "ardupilot":
@@ -162,23 +174,13 @@ class Pilot:
 
     def heard(self, kind: str):
         """The autopilot's next message of a kind."""
-        end = time.monotonic() + 5
-        while time.monotonic() < end:
-            message = self.link.recv_match(type=kind, blocking=True, timeout=5)
-            if message is not None and message.get_srcComponent() == 1:
-                return message
-        raise AssertionError(f"no {kind}")
-
-    def newest(self, kind: str):
-        """The autopilot's last message of a kind that has arrived by now."""
-        while (message := self.link.recv_msg()) is not None:
-            if message.get_srcComponent() == 1:
-                self.known[message.get_type()] = message
-        return self.known[kind]
+        count = self.known.get(kind, (0, None))[0]
+        until(f"a {kind} came", lambda: self.known.get(kind, (0, None))[0] > count, 5.0)
+        return self.known[kind][1]
 
     def flown_mode(self) -> str:
         """The name of the autopilot's own mode; `sim.autopilot` tells it at 1 Hz."""
-        number = self.newest("HEARTBEAT").custom_mode
+        number = self.known["HEARTBEAT"][1].custom_mode
         numbers = (number >> 16 & 0xFF, number >> 24 & 0xFF) if self.rules == "px4" else (number, 0)
         return next((name for name, known in NUMBERS[self.rules].items() if known == numbers), str(number))
 
@@ -189,6 +191,7 @@ class Program:
 
     process: subprocess.Popen
     lines: list[str] = field(default_factory=list)
+    deaf: threading.Event = field(default_factory=threading.Event)
 
     def said(self, pattern: str) -> bool:
         return any(re.search(pattern, line) for line in list(self.lines))
@@ -206,9 +209,24 @@ class Program:
         return self.process.wait(seconds)
 
     def listen(self) -> None:
+        """Keep what it says until it ends or nobody is to listen any more."""
         assert self.process.stderr is not None
-        for line in self.process.stderr:
-            self.lines.append(line.rstrip())
+        file = self.process.stderr.fileno()
+        rest = b""
+        while not self.deaf.is_set():
+            if select.select([file], [], [], 0.05)[0]:
+                data = os.read(file, 65536)
+                if not data:
+                    return
+                *lines, rest = (rest + data).split(b"\n")
+                self.lines += [line.decode(errors="replace").rstrip() for line in lines]
+        self.process.stderr.close()
+
+    def stop_listening(self) -> None:
+        """Close our end of the pipe: what it says now meets nobody."""
+        self.deaf.set()
+        assert self.process.stderr is not None
+        until("closed", lambda: self.process.stderr is not None and self.process.stderr.closed)
 
 
 @contextlib.contextmanager
@@ -216,7 +234,7 @@ def program(call: list[str], **options) -> Iterator[Program]:
     """A program of ours on one thread's worth of processor, ended at the end whatever happens."""
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "COLUMNS": "200", **options.pop("env", {})}
     process = subprocess.Popen(
-        call, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, env=environment, **options
+        call, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, bufsize=0, env=environment, **options
     )
     running = Program(process)
     listener = threading.Thread(target=running.listen, daemon=True)
