@@ -1,5 +1,6 @@
 """Trackers by name: settings, fingerprints, and OpenCV's own with the refinement behind them."""
 
+import cv2
 import numpy as np
 import pytest
 import rendered_benchmarks as rendered
@@ -9,6 +10,7 @@ from racf.evaluate.trackers import OPENCV, TrackerSpec, opencv_has
 
 
 def walk(name: str, frames: int = 12) -> list[Box]:
+    cv2.setRNGSeed(0)  # MIL draws its features
     truth = rendered.path_of_target(frames) - [1, 1, 0, 0]
     tracker = TrackerSpec.parse(name).build()
     tracker.init(rendered.picture(*truth[0]), Box(*truth[0]))
