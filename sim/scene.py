@@ -129,45 +129,35 @@ class Scene:
         height = max(-float(view.place[2]), 0.2)
         down = view.rotation[2, 1] * (rows - c.cy) / c.fy + view.rotation[2, 2]
         depth = height / np.maximum(down, 1e-3)
-        texels = depth / c.fx * np.sqrt(np.maximum(depth / height, 1.0)) / CELL_M
-        levels = np.clip(np.round(np.log2(texels) - 0.2), 0, LEVELS - 1).astype(int)
-        homography = view.homography()
+        cells = depth / c.fx * np.sqrt(np.maximum(depth / height, 1.0)) / CELL_M
+        levels = np.clip(np.round(np.log2(cells) - 0.2), 0, LEVELS - 1).astype(int)
+        to_ground = np.asarray(np.linalg.inv(view.homography()), np.float64)
         starts = [0, *(np.flatnonzero(np.diff(levels)) + 1).tolist(), c.height]
         for start, end in itertools.pairwise(starts):
-            self._warp(image, homography, start, end, int(levels[start]))
+            self._warp(image, to_ground, start, end, int(levels[start]))
         # Fade the grain in, so that no line shows where it begins.
-        strength = np.clip(0.5 * (0.9 - texels), 0.0, 0.35) * (down > 0)
+        strength = np.clip(0.5 * (0.9 - cells), 0.0, 0.35) * (down > 0)
         fine = np.flatnonzero(strength)
         if len(fine):
-            self._grain(image, view, homography, int(fine[0]), int(fine[-1]) + 1, strength)
+            self._grain(image, view, to_ground, int(fine[0]), int(fine[-1]) + 1, strength)
         self._sky(image, view, height)
         return image
 
-    def _warp(self, image: Image, homography: Array, start: int, end: int, level: int) -> None:
-        cell = CELL_M * 2**level
-        texel = np.array(
-            [[0, cell, self.ground.north_m + cell / 2], [cell, 0, self.ground.east_m + cell / 2], [0, 0, 1]]
-        )
-        shift = np.array([[1, 0, -0.5], [0, 1, -0.5 - start], [0, 0, 1.0]])
-        matrix = np.linalg.inv(shift @ homography @ texel)
-        source = self.ground.levels[level]
-        size = (self.camera.width, end - start)
-        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        cv2.warpPerspective(source, matrix, size, image[start:end], flags, cv2.BORDER_WRAP)
+    def _warp(self, image: Image, to_ground: Array, start: int, end: int, level: int) -> None:
+        g = self.ground
+        matrix = texels(CELL_M * 2**level, g.north_m, g.east_m) @ to_ground @ below(start)
+        size, flags = (self.camera.width, end - start), cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        cv2.warpPerspective(g.levels[level], matrix, size, image[start:end], flags, cv2.BORDER_WRAP)
 
-    def _grain(self, image: Image, view: View, homography: Array, start: int, end: int, strength: Array) -> None:
+    def _grain(self, image: Image, view: View, to_ground: Array, start: int, end: int, strength: Array) -> None:
         """Structure finer than the texture's texels, close by.  The tile repeats, so it is moved under the camera."""
         period = DETAIL_CELL_M * DETAIL_SIZE
         half = DETAIL_CELL_M * len(self.ground.detail) / 2
         north, east = (math.floor((view.place[k] - half) / period + 0.5) * period for k in (0, 1))
-        cell = DETAIL_CELL_M
-        texel = np.array([[0, cell, north + cell / 2], [cell, 0, east + cell / 2], [0, 0, 1]])
-        shift = np.array([[1, 0, -0.5], [0, 1, -0.5 - start], [0, 0, 1.0]])
-        matrix = np.linalg.inv(shift @ homography @ texel)
-        size = (self.camera.width, end - start)
-        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        matrix = texels(DETAIL_CELL_M, north, east) @ to_ground @ below(start)
+        size, flags = (self.camera.width, end - start), cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
         grain = cv2.warpPerspective(self.ground.detail, matrix, size, None, flags, cv2.BORDER_CONSTANT, (128,))
-        step = 12
+        step = 24
         for row in range(start, end, step):
             band = image[row : min(row + step, end)]
             weight = float(strength[row])
@@ -226,6 +216,16 @@ class Scene:
             fill_mask(mask, thing, x0, y0, 0)
         inside = mask[max(-y0, 0) : max(c.height - y0, 0), max(-x0, 0) : max(c.width - x0, 0)]
         return Seen(box, float(np.count_nonzero(inside)) / total if total else 0.0)
+
+
+def texels(cell_m: float, north_m: float, east_m: float) -> Array:
+    """(3, 3) from the ground (north, east, 1) to a texture's (column, row, 1), OpenCV's 0 being a texel's middle."""
+    return np.array([[0, 1 / cell_m, -east_m / cell_m - 0.5], [1 / cell_m, 0, -north_m / cell_m - 0.5], [0, 0, 1]])
+
+
+def below(start: int) -> Array:
+    """(3, 3) from OpenCV's pixels of a band that begins at row `start` to pixels of the picture."""
+    return np.array([[1, 0, 0.5], [0, 1, 0.5 + start], [0, 0, 1]])
 
 
 def clipped(polygon: list[tuple[float, float]], down: list[float]) -> list[tuple[float, float]]:
