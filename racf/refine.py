@@ -46,6 +46,8 @@ class Refiner:
 
     def __init__(self, params: Params) -> None:
         self.params = params
+        strict = params.robust and params.strict_refine
+        self._min_iou = params.strict_iou if strict else params.refine_min_iou
         self._models: tuple[Float64, Float64] | None = None
         self._age = self._rejected = self._waiting = 0
 
@@ -80,7 +82,7 @@ class Refiner:
         segment = Box(around.x + x * step_x, around.y + y * step_y, w * step_x, h * step_y)
         # A segment that reaches the border of what may be foreground was cut off there: its extent is unknown.
         whole = x > left and y > top and x + w < left + cols and y + h < top + rows
-        if not whole or segment.iou(box) <= params.refine_min_iou:
+        if not whole or segment.iou(box) <= self._min_iou:
             return Refinement(None, segment, mask, around)
         return Refinement(blend(box, segment, params.refine_blend), segment, mask, around)
 
