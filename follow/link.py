@@ -16,7 +16,10 @@ class Link(Protocol):
         ...
 
     def send(self, setpoint: Setpoint | None) -> None:
-        """Hand one setpoint to the autopilot at once, or nothing when None (the stream stops)."""
+        """Hand one setpoint to the autopilot at once, or nothing when None (the stream stops).
+
+        Raises ValueError for a setpoint that is not finite.
+        """
         ...
 
     def __enter__(self) -> Self: ...

@@ -150,8 +150,8 @@ class MavlinkClient:
 
         Raises ValueError for a number that is not finite: one NaN makes ArduPilot refuse to arm until a restart.
         """
-        if setpoint is not None and not setpoint.is_finite():
-            raise ValueError(f"a setpoint needs four finite numbers, not {setpoint}")
+        if setpoint is not None:
+            setpoint.require_finite()
         streamed = self._stream_t_s > NEVER
         paused = streamed and t_s - self._stream_t_s > STREAM_GAP_S
         if streamed and (setpoint is None or (paused and self._in_control)):

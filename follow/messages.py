@@ -83,6 +83,11 @@ class Setpoint:
         numbers = (self.forward_m_s, self.right_m_s, self.down_m_s, self.yaw_rate_rad_s)
         return all(math.isfinite(v) for v in numbers)
 
+    def require_finite(self) -> None:
+        """Raise ValueError unless all four numbers are finite."""
+        if not self.is_finite():
+            raise ValueError(f"a setpoint needs four finite numbers, not {self}")
+
 
 HOVER = Setpoint()
 

@@ -81,8 +81,12 @@ class SimLink:
         )
 
     def send(self, setpoint: Setpoint | None) -> None:
-        """Give the vehicle its next setpoint; None sends nothing, and after a while its own failsafe acts."""
+        """Give the vehicle its next setpoint; None sends nothing, and after a while its own failsafe acts.
+
+        Raises ValueError for a setpoint that is not finite.
+        """
         if setpoint is not None:
+            setpoint.require_finite()
             self.setpoint, self.sent_t_s = setpoint, self.vehicle.motion.t_s
 
     def __enter__(self) -> Self:

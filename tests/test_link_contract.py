@@ -23,6 +23,8 @@ from follow.pymavlink_link import connect
 from sim.autopilot import UdpPort, run
 from sim.autopilot_system import AutopilotSystem
 from sim.dynamics import Motion, Vehicle
+from sim.link import SimLink
+from sim.replay import ReplayLink
 
 
 @dataclass
@@ -103,13 +105,42 @@ def over_mavsdk(autopilot: Autopilot):
     return served(autopilot, lambda port: f"mavsdk+udpout://127.0.0.1:{port}")
 
 
-LINKS = {"memory": in_memory, "udp": over_udp, "mavsdk": over_mavsdk}
+@contextlib.contextmanager
+def simulated(autopilot: Autopilot) -> Iterator[Rig]:
+    with SimLink(Vehicle(autopilot, Motion(down_m=-10.0))) as link:
+        yield Rig(link, link.advance, lambda: link.state().mode, lambda: None)
+
+
+@contextlib.contextmanager
+def replayed(autopilot: Autopilot) -> Iterator[Rig]:
+    with ReplayLink(30.0, 10.0, autopilot) as link:  # its time passes as setpoints are sent
+        yield Rig(link, lambda _s: None, lambda: link.state().mode, lambda: None)
+
+
+LINKS = {"memory": in_memory, "udp": over_udp, "mavsdk": over_mavsdk, "sim": simulated, "replay": replayed}
+PRETENDED = {"sim", "replay"}  # they are in control from the start and have no other mode to end in
 BOTH = pytest.mark.parametrize("autopilot", list(Autopilot))
 
 
 @pytest.fixture(params=list(LINKS))
 def opened(request):
     return LINKS[request.param]
+
+
+@pytest.fixture(params=[name for name in LINKS if name not in PRETENDED])
+def opened_by_mavlink(request):
+    return LINKS[request.param]
+
+
+@BOTH
+@pytest.mark.parametrize("name", sorted(PRETENDED))
+def test_a_pretended_flight_is_obeyed_and_ends_in_hover(name, autopilot):
+    with LINKS[name](autopilot) as rig:
+        state = rig.stream(8.0, Setpoint(forward_m_s=1.0), lambda state: state.body_velocity_m_s()[0] > 0.5)
+        assert state.in_control
+        assert state.body_velocity_m_s()[0] > 0.5
+    state = rig.stream(8.0, None, lambda state: abs(state.body_velocity_m_s()[0]) < 0.1)
+    assert abs(state.body_velocity_m_s()[0]) < 0.1
 
 
 def test_a_link_tells_finite_states_whose_time_never_runs_back_and_takes_finite_setpoints(opened):
@@ -133,8 +164,8 @@ def test_a_link_tells_finite_states_whose_time_never_runs_back_and_takes_finite_
 
 
 @BOTH
-def test_a_flight_over_a_link_is_obeyed_and_ends_in_hover(opened, autopilot):
-    with opened(autopilot) as rig:
+def test_a_flight_over_a_link_is_obeyed_and_ends_in_hover(opened_by_mavlink, autopilot):
+    with opened_by_mavlink(autopilot) as rig:
         before = rig.mode()
         rig.stream(0.3, HOVER)
         assert rig.mode() == before  # never unasked
@@ -148,8 +179,8 @@ def test_a_flight_over_a_link_is_obeyed_and_ends_in_hover(opened, autopilot):
     assert rig.mode() == HOLD[autopilot]
 
 
-def test_a_vehicle_that_is_not_ours_is_left_alone(opened):
-    with opened(Autopilot.PX4) as rig:
+def test_a_vehicle_that_is_not_ours_is_left_alone(opened_by_mavlink):
+    with opened_by_mavlink(Autopilot.PX4) as rig:
         before = rig.mode()
         rig.stream(0.2, None)
     assert rig.mode() == before

@@ -46,8 +46,6 @@ def test_a_yaw_step_turns_as_far_as_its_rate_less_the_lag():
 @pytest.mark.parametrize(
     ("bad", "rule"),
     [
-        (Setpoint(math.nan), "not finite"),
-        (Setpoint(yaw_rate_rad_s=math.inf), "not finite"),
         (Setpoint(100.0), "too fast"),
         (Setpoint(yaw_rate_rad_s=-10.0), "too fast"),
     ],
