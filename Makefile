@@ -40,6 +40,14 @@ $(BENCH)/.installed: pyproject.toml requirements.lock
 bench: $(BENCH)/.installed
 	$(BENCH)/bin/racf bench $(SOURCE)
 
+# Every fault, flown; a minute of garbage into each reader; a million wishes through the gate; a minute's flight each.
+faults: setup
+	$(BIN)/python benchmarks/faults.py
+	$(BIN)/python benchmarks/gate_fuzz.py --rounds 1000000
+	$(BIN)/python benchmarks/fuzz_inputs.py --seconds 60
+	$(BIN)/python benchmarks/setpoint_timing.py --seconds 60
+	FOLLOW_RUN_S=60 $(BIN)/python -m pytest tests/test_follow_run.py
+
 # The main job, end to end: a simulated walker, followed, recorded and scored.
 demo: setup
 	$(BIN)/follow sim walker --out out/demo

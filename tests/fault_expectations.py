@@ -142,3 +142,15 @@ def within(what: str, bound: str, value: Callable[[Outcome], float], holds: Call
         return wrong
 
     return Expectation(what, bound, judge, lambda o: f"{value(o):.1f}")
+
+
+def either(one: Expectation, other: Expectation) -> Expectation:
+    """Both are safe, and which it is hangs on the moment."""
+
+    def judge(o: Outcome, autopilot: Autopilot) -> list[str]:
+        return one.judge(o, autopilot) and other.judge(o, autopilot)
+
+    def measured(o: Outcome) -> str:
+        return one.measured(o) if o.stop_s is not None and not o.setpoints_at_end else other.measured(o)
+
+    return Expectation(f"{one.must}; or {other.must}", f"{one.bound}; or {other.bound}", judge, measured)

@@ -52,10 +52,15 @@ def _read_mat(path: Path) -> Boxes:
     """`results{1}.res` of the toolkits, or a matrix `res` or `results` of four columns."""
     from scipy.io import loadmat  # noqa: PLC0415 - only for MATLAB files
 
-    content = cast("dict[str, Any]", loadmat(path, squeeze_me=True, struct_as_record=False))
+    try:
+        content = cast("dict[str, Any]", loadmat(path, squeeze_me=True, struct_as_record=False))
+    except OSError:
+        raise
+    except Exception as error:  # noqa: BLE001 - a broken file makes scipy raise whatever its bytes lead to
+        raise ValueError(f"{path} is not a MATLAB file that can be read: {type(error).__name__}") from None
     found = content.get("results", content.get("res"))
     while isinstance(found, np.ndarray) and found.dtype == object:  # a cell of runs: the first is the one-pass run
-        found = found.flat[0]
+        found = found.flat[0] if found.size else None
     boxes = np.asarray(getattr(found, "res", found))
     if boxes.ndim != 2 or boxes.shape[1] not in {4, 5} or not np.issubdtype(boxes.dtype, np.number):
         raise ValueError(f"{path}: neither results{{1}}.res nor a matrix of four columns is in this file")

@@ -1,0 +1,57 @@
+"""When setpoints arrive: `follow run` at 30 pictures/s, recording, against `python -m sim.autopilot` over UDP.
+
+    python benchmarks/setpoint_timing.py --seconds 60 [--rules ardupilot]
+
+A relay between the two notes when each setpoint passes.  Prints the intervals and the time from a picture to its
+setpoint; exits 1 when the intervals' p99 is above 60 ms or one is above 150 ms.  The machine's load is printed, for it
+decides: the scene is drawn in the same process.
+"""
+
+import argparse
+import csv
+import itertools
+import os
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT / "tests"))
+os.environ["MAVLINK20"] = "1"
+
+from real_flight import real_flight  # noqa: E402
+
+P99_MS, LARGEST_MS = 60.0, 150.0
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--rules", choices=("px4", "ardupilot"), default="px4")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as out:
+        with real_flight(options.rules, Path(out), options=["--follow", "--seconds", "600"]) as real:
+            real.application.wait_until_said(r": follow", 20.0)
+            began = time.monotonic()
+            time.sleep(options.seconds)
+            end, load = time.monotonic(), os.getloadavg()[0]
+            times = [p.t_s for p in real.relay.setpoints() if began <= p.t_s <= end]
+            real.application.end()
+        with (Path(out) / "ticks.csv").open() as file:
+            rows = [row for row in csv.DictReader(file) if row["frame"] and row["setpoint_forward_m_s"]]
+    intervals = 1e3 * np.diff(times)
+    pictures = np.array([float(row["frame_t_s"]) for row in rows])  # one machine, one monotonic clock
+    latency = [1e3 * (t - pictures[i - 1]) for t in times if (i := int(np.searchsorted(pictures, t))) > 0]
+    p50, p99 = np.percentile(intervals, (50, 99))
+    print(f"{len(times)} setpoints in {options.seconds:g} s, load average {load:.1f} on {os.cpu_count()} cores")
+    print(f"interval ms: p50 {p50:.1f}, p99 {p99:.1f}, largest {intervals.max():.1f}")
+    print("picture to setpoint ms: p50 {:.1f}, p99 {:.1f}".format(*np.percentile(latency, (50, 99))))
+    over = sum(1 for a, b in itertools.pairwise(times) if 1e3 * (b - a) > LARGEST_MS)
+    return 1 if p99 > P99_MS or over else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
