@@ -221,7 +221,19 @@ def test_the_clock_jumping_back_ramps_nothing():
     assert safety.gate.horizontal.v == before.horizontal.v
 
 
-@pytest.mark.parametrize("bad", [{"speed_m_s": 0.0}, {"accel_m_s2": math.nan}, {"floor_m": 200.0}])
+def test_above_a_near_target_the_descent_stops_at_the_stand_off():
+    safety, t_s = engaged(down_m=-6.0)
+    for i in range(1, 60):
+        now = t_s + i * DT
+        near = replace(seen(now), range_m=0.5, range_std_m=0.1)
+        decision = safety.allow(Setpoint(down_m_s=1.0), near, flying(now, down_m=-5.9), now)
+    assert decision.setpoint == HOVER
+    assert "held by the altitude limit" in decision.notes
+
+
+@pytest.mark.parametrize(
+    "bad", [{"speed_m_s": 0.0}, {"accel_m_s2": math.nan}, {"floor_m": 200.0}, {"half_view_rad": 2.0}]
+)
 def test_impossible_limits_are_refused(bad):
     with pytest.raises(ValueError, match=r"limit|floor"):
         Limits(**bad)
