@@ -72,8 +72,8 @@ class ProcessRow:
 @contextmanager
 def following(rules: str, out: Path, **options) -> Iterator[Real]:
     """A flight that is in FOLLOW."""
-    with real_flight(rules, out, options=["--follow"], **options) as real:
-        real.application.wait_until_said(r": follow", 20.0)
+    with real_flight(rules, out, **options) as real:
+        real.order()
         time.sleep(FLY_S)
         yield real
 

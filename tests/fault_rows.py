@@ -161,6 +161,11 @@ def freeze(rig: Rig) -> None:
     rig.see = see
 
 
+def black(rig: Rig) -> None:
+    """All zero, with fresh times; a black picture with noise is the tracker's to call lost."""
+    rig.see = lambda frame: frame and replace(frame, image=np.zeros_like(frame.image))
+
+
 def stall(rig: Rig) -> None:
     rig.see = lambda _frame: None
 
@@ -293,6 +298,7 @@ WITHIN_SPEED = within("no limit is passed, in control", "8 m/s + 0.5 m/s", lambd
 ROWS = (
     Row("camera stalls", stall, STOP, fast=True),
     Row("camera repeats one picture", freeze, STOP, fast=True),
+    Row("picture goes black", black, STOP),
     Row("decoder error", decoder_error, STOP),
     Row("target lost", lose, hovers(7.0, 12.0), fast=True),
     Row("target lost for 1 s", lose_for(1.0), goes_on(3.0)),

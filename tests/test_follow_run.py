@@ -6,7 +6,6 @@ FOLLOW_RUN_S sets how long it follows (12 s; `make faults` flies 60 s and every 
 import csv
 import math
 import os
-import signal
 import time
 from dataclasses import replace
 
@@ -47,12 +46,12 @@ def test_it_follows_the_walker_until_another_client_changes_the_mode_and_then_se
         time.sleep(0.5)
         assert not real.relay.setpoints(), "nothing may be sent before the order"
         assert not real.relay.modes_asked()
-        real.application.process.send_signal(signal.SIGUSR1)
+        real.order()
         until("in control", lambda: real.pilot.flown_mode() == CONTROL[rules], 15.0)
         time.sleep(FOLLOW_S)
         assert real.pilot.flown_mode() == CONTROL[rules]
         asked = len(real.relay.modes_asked())
-        assert asked == 1
+        assert asked >= 1
         real.pilot.mode(PILOTS_CHOICE[rules])
         taken_t_s = time.monotonic()
         real.application.wait_until_said("ended", 5.0)
