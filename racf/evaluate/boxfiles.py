@@ -4,6 +4,8 @@ A text file has a line a frame, four numbers apart by comma, blanks or tab, `NaN
 """
 
 import re
+import struct
+import zlib
 from pathlib import Path
 from typing import Any, cast
 
@@ -12,6 +14,19 @@ import numpy as np
 from racf.evaluate.metrics import Boxes
 
 _APART = re.compile(r"[,;\s]+")
+# What a broken MATLAB file makes scipy raise, depending on the byte that is wrong; version 7.3 is not implemented there.
+_BROKEN = (
+    ArithmeticError,
+    AttributeError,
+    EOFError,
+    LookupError,
+    MemoryError,
+    NotImplementedError,
+    TypeError,
+    ValueError,
+    struct.error,
+    zlib.error,
+)
 
 
 def read_boxes(path: Path) -> Boxes:
@@ -51,12 +66,11 @@ def _read_text(path: Path) -> Boxes:
 def _read_mat(path: Path) -> Boxes:
     """`results{1}.res` of the toolkits, or a matrix `res` or `results` of four columns."""
     from scipy.io import loadmat  # noqa: PLC0415 - only for MATLAB files
+    from scipy.io.matlab import MatReadError  # noqa: PLC0415
 
     try:
         content = cast("dict[str, Any]", loadmat(path, squeeze_me=True, struct_as_record=False))
-    except OSError:
-        raise
-    except Exception as error:  # noqa: BLE001 - a broken file makes scipy raise whatever its bytes lead to
+    except (MatReadError, *_BROKEN) as error:
         raise ValueError(f"{path} is not a MATLAB file that can be read: {type(error).__name__}") from None
     found = content.get("results", content.get("res"))
     while isinstance(found, np.ndarray) and found.dtype == object:  # a cell of runs: the first is the one-pass run
