@@ -14,7 +14,7 @@ import numpy as np
 from racf.evaluate.metrics import Boxes
 
 _APART = re.compile(r"[,;\s]+")
-# What a broken MATLAB file makes scipy raise, depending on the byte that is wrong; version 7.3 is not implemented there.
+# What a broken MATLAB file makes scipy raise, depending on the byte that is wrong; it does not know version 7.3.
 _BROKEN = (
     ArithmeticError,
     AttributeError,
