@@ -24,7 +24,8 @@ check: setup
 	$(BIN)/python tests/check_lock.py
 
 test: setup
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest -n 2 -m "not realtime"
+	$(BIN)/python -m pytest -m realtime
 
 # A second environment: CSRT and KCF come with OpenCV's contrib wheel, which cannot live beside the plain one.
 $(BENCH)/.installed: pyproject.toml requirements.lock

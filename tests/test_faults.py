@@ -18,6 +18,7 @@ def test_a_fault_ends_as_it_must(row: Row, autopilot: Autopilot):
     assert not result.wrong, (result.wrong, result.outcome, result.lines)
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("row", [row for row in PROCESS_ROWS if row.fast], ids=lambda row: row.name)
 def test_a_fault_of_the_process_ends_as_it_must(row: ProcessRow, tmp_path, monkeypatch):
     monkeypatch.setitem(os.environ, "MAVLINK20", "1")

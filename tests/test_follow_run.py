@@ -37,6 +37,7 @@ def true_place(row: dict[str, str], first: dict[str, str], scenario, world) -> t
     return math.hypot(north, east), math.remainder(off, math.tau)
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize(("rules", "mavsdk"), PAIRS)
 def test_it_follows_the_walker_until_another_client_changes_the_mode_and_then_sends_nothing_more(
     rules, mavsdk, tmp_path, monkeypatch
