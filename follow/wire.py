@@ -13,6 +13,7 @@ import socket
 import termios
 import time
 import tty
+from abc import ABC, abstractmethod
 from typing import Protocol
 
 from follow.link import LinkError
@@ -106,7 +107,7 @@ class UdpWire:
         self._socket.close()
 
 
-class _StreamWire:
+class _StreamWire(ABC):
     """What a TCP connection and a serial line share: a file descriptor that may be lost and opened again."""
 
     datagrams = False
@@ -116,8 +117,8 @@ class _StreamWire:
         self._lost_at_s = 0.0
         self._file = self._open()
 
-    def _open(self) -> int:
-        raise NotImplementedError
+    @abstractmethod
+    def _open(self) -> int: ...
 
     def read(self, timeout_s: float) -> tuple[bytes, Source]:
         """Whatever came; after a drop, tries now and then to open again."""
@@ -145,7 +146,7 @@ class _StreamWire:
         except OSError:
             return False
 
-    def answer_to(self, source: Source) -> None:
+    def answer_to(self, source: Source) -> None:  # noqa: B027 - nothing to do is the answer, not a gap
         """There is only one other end."""
 
     def close(self) -> None:

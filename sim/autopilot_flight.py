@@ -4,6 +4,7 @@
 """
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
@@ -53,7 +54,7 @@ class Mode:
     guidance: str
 
 
-class Flight:
+class Flight(ABC):
     """One autopilot in charge of one vehicle: on the ground in its first mode, or hovering when it starts aloft."""
 
     autopilot: ClassVar[Autopilot]
@@ -130,19 +131,21 @@ class Flight:
         self.enter(self.land_mode)
         return Result.ACCEPTED
 
+    @abstractmethod
     def take_setpoint(self, frame: int, mask: int, velocity: tuple[float, float, float], yaw_rate: float) -> None:
         """A velocity setpoint arrived."""
-        raise NotImplementedError
+        ...
 
+    @abstractmethod
     def take_off(self, height_m: float) -> Result:
         """Climb to `height_m` above home."""
-        raise NotImplementedError
+        ...
 
-    def _change(self, name: str) -> list[Result]:
-        raise NotImplementedError
+    @abstractmethod
+    def _change(self, name: str) -> list[Result]: ...
 
-    def _refusal_to_arm(self) -> str:
-        raise NotImplementedError
+    @abstractmethod
+    def _refusal_to_arm(self) -> str: ...
 
     def _watch(self) -> None:
         """Look for what changes the mode without being asked: landing, fence, battery; the rules add theirs."""
@@ -164,20 +167,20 @@ class Flight:
     def _idle_s(self) -> float:
         return self.t_s - max(self._armed_t_s, self._landed_t_s)
 
-    def _idle_limit_s(self) -> float:
-        raise NotImplementedError
+    @abstractmethod
+    def _idle_limit_s(self) -> float: ...
 
-    def _outside_fence(self, distance_m: float, height_m: float) -> bool:
-        raise NotImplementedError
+    @abstractmethod
+    def _outside_fence(self, distance_m: float, height_m: float) -> bool: ...
 
-    def _fence_mode(self) -> str | None:
-        raise NotImplementedError
+    @abstractmethod
+    def _fence_mode(self) -> str | None: ...
 
-    def _battery_low(self) -> bool:
-        raise NotImplementedError
+    @abstractmethod
+    def _battery_low(self) -> bool: ...
 
-    def _battery_mode(self) -> str | None:
-        raise NotImplementedError
+    @abstractmethod
+    def _battery_mode(self) -> str | None: ...
 
     # Guidance: each gives the setpoint of this moment
 

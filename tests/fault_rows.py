@@ -40,7 +40,7 @@ class Row:
 
     def fly(self, autopilot: Autopilot) -> "Result":
         """Fly it once and judge."""
-        rig = Rig(autopilot, self.inject, **self.rig).fly()  # type: ignore[arg-type]
+        rig = Rig(autopilot, self.inject, **self.rig).fly()  # type: ignore[arg-type] - rows are data
         seen = outcome(rig)
         wrong = [] if seen.followed else ["it did not follow before the fault"]
         return Result(self, autopilot, seen, tuple(wrong + self.expect.judge(seen, autopilot)), tuple(rig.lines))
