@@ -170,6 +170,28 @@ def rms(difference: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.sum(difference**2, axis=1))))
 
 
+def floors(data: dict, label: str) -> dict[str, float]:
+    """How near to PX4's curve of a turn on the spot one could come, knowing that curve (RMS, m/s).
+
+    No movement at all; the best constant velocity of the body, and of the ground, both read off the curve itself; then
+    ArduPilot's curve, and the least, mean and largest of that curve moved round in time.
+    """
+    px4, ardupilot = (data[a][label][2] for a in FILES)
+    v, turned = px4[:, :3], np.exp(1j * np.cumsum(px4[:, 5]) * STEP_S)
+    ground = (v[:, 0] + 1j * v[:, 1]) * turned
+    left = np.stack([(ground - ground.mean()).real, (ground - ground.mean()).imag, v[:, 2] - v[:, 2].mean()], axis=1)
+    moved = [rms(v - np.roll(ardupilot[:, :3], shift, axis=0)) for shift in range(len(v))]
+    return {
+        "none": rms(v),
+        "body": rms(v - v.mean(axis=0)),
+        "ground": rms(left),
+        "ArduPilot": moved[0],
+        "least": min(moved),
+        "mean": float(np.mean(moved)),
+        "largest": max(moved),
+    }
+
+
 def wander(steps: dict) -> tuple[float, float]:
     """Standard deviation (m/s) and correlation time (s) of the sideways velocity in steps that command none."""
     v = [steps[k][2][:, 1] - steps[k][2][:, 1].mean() for k in ("vx2", "vx0", "vx5", "vx0b", "vx0.5", "vx0c")]
@@ -229,6 +251,8 @@ def main() -> None:
     for label, between, px4, ardupilot in judge(data):
         late = " (above)" if max(px4, ardupilot) > between else ""
         print(f"| {label} | {between:.3f} | {px4:.3f} | {ardupilot:.3f} |{late}")
+    for label in ("yr1.5", "yr0b"):
+        print(label, *(f"{name} {value:.4f}" for name, value in floors(data, label).items()))
     if arguments.plot:
         draw(data, arguments.plot)
 
