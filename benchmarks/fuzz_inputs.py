@@ -29,6 +29,7 @@ from follow.commands import Command
 from follow.mavlink import MavlinkClient
 from follow.messages import Autopilot, Setpoint, VehicleState
 from follow.scoring import Truth
+from follow.settings import as_toml, read_settings
 from follow.signing import read_key
 from follow.video import open_replay
 from racf.box import Box
@@ -109,7 +110,7 @@ def look(path: Path) -> None:
             pass
 
 
-def settings(data: bytes) -> None:
+def command_line(data: bytes) -> None:
     """A command line, a word a line."""
     words = [word for word in data.decode(errors="replace").split("\n") if "\0" not in word]
     try:
@@ -117,6 +118,36 @@ def settings(data: bytes) -> None:
     except SystemExit as stop:
         if stop.code:
             raise AssertionError(f"it ended with {stop.code!r} instead of an error") from None
+
+
+def settings_seeds() -> list[bytes]:
+    """The example with every setting; and its lines one by one, so that a short input reaches each kind of setting."""
+    example = Path(__file__).parents[1] / "docs" / "service" / "settings.toml"
+    seeds = [example.read_bytes()]
+    table = b""
+    for line in seeds[0].splitlines():
+        if line.startswith(b"["):
+            table = line
+        elif b"=" in line and table:
+            seeds.append(table + b"\n" + line + b"\n")
+    return seeds
+
+
+def settings(path: Path) -> None:
+    """A settings file: only a UsageError may come out, and what was read is written and read again."""
+    try:
+        read = read_settings(path)
+    except ValueError as error:
+        if isinstance(error, UsageError):
+            raise
+        raise AssertionError(f"{type(error).__name__} instead of a UsageError: {error}") from error
+    path.write_text(as_toml(read))
+    try:
+        again = read_settings(path)
+    except UsageError as error:
+        raise AssertionError(f"what was written cannot be read: {error}") from error
+    if again != read:
+        raise AssertionError(f"written and read again it is another: {read}")
 
 
 def targets(folder: Path) -> dict[str, tuple[list[bytes], Target]]:
@@ -138,7 +169,8 @@ def targets(folder: Path) -> dict[str, tuple[list[bytes], Target]]:
     stills_folder.mkdir()
     return {
         "mavlink": mavlink_target(),
-        "settings": (words, settings),
+        "command lines": (words, command_line),
+        "settings files": (settings_seeds(), file_target(folder / "settings.toml", settings)),
         "boxes in the command line": ([b"1,2,3,4"], lambda data: str(Box.parse(data.decode())) and None),
         "truth files": (boxes, file_target(folder / "truth.txt", Truth)),
         "box files": (boxes, file_target(folder / "boxes.csv", read_boxes)),

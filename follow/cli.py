@@ -3,15 +3,19 @@
 import signal
 import sys
 from collections.abc import Sequence
+from typing import Any, cast
 
 from follow.camera import CameraError
-from follow.commands import MARKERS, Command, Doctor, Inspect, Replay, Run, Sim
+from follow.commands import MARKERS, Doctor, Inspect, Replay, Run, Sim, commands
 from follow.doctor import NotFitError
 from follow.link import LinkError
-from racf.commandline import run
+from follow.settings import settings_of
+from racf.commandline import guarded, parse
 
 # Each command's parts are imported when it is run: the help does not wait for the tracker's kernels.
 # ruff: noqa: PLC0415
+
+ABOUT = "Keep a target in view: PX4 and ArduPilot, replayed footage, or a simulated flight."
 
 
 def execute(command: Replay | Sim | Run | Doctor | Inspect) -> None:
@@ -41,15 +45,13 @@ def execute(command: Replay | Sim | Run | Doctor | Inspect) -> None:
 def main(argv: Sequence[str] | None = None) -> int:
     """The program; returns the exit status."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # a service manager's stop ends as cleanly as Ctrl-C
-    return run(
-        Command,
-        execute,
-        argv,
-        prog="follow",
-        description="Keep a target in view: PX4 and ArduPilot, replayed footage, or a simulated flight.",
-        config=MARKERS,
-        failures=(CameraError, LinkError, NotFitError),
-    )
+    words = sys.argv[1:] if argv is None else argv
+
+    def work() -> None:
+        known = commands(settings_of(words))
+        execute(cast(Any, parse(known, words, prog="follow", description=ABOUT, config=MARKERS)))
+
+    return guarded(work, prog="follow", failures=(CameraError, LinkError, NotFitError))
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
@@ -39,6 +39,8 @@ class Replay:
     """Folder of flight.rrd, ticks.csv and summary.json."""
     json: bool = False
     """Print the summary as JSON on standard output."""
+    settings: Path | None = None
+    """TOML file of the settings below; what is given here stands above it (docs/service/settings.toml has them all)."""
     config: Settings = field(default_factory=Config)
 
 
@@ -64,6 +66,8 @@ class Sim:
     """Folder of flight.rrd, ticks.csv, summary.json and flight.png."""
     json: bool = False
     """Print the summary (with --all: of each flight) as JSON on standard output."""
+    settings: Path | None = None
+    """TOML file of the settings below; what is given here stands above it (docs/service/settings.toml has them all)."""
     config: Settings = field(default_factory=Config)
 
 
@@ -101,6 +105,8 @@ class Run:
     """Folder of flight.rrd, flight.tlog, ticks.csv and summary.json."""
     json: bool = False
     """Print the summary as JSON on standard output."""
+    settings: Path | None = None
+    """TOML file of the settings below; what is given here stands above it (docs/service/settings.toml has them all)."""
     config: Settings = field(default_factory=Config)
 
 
@@ -135,13 +141,20 @@ class Inspect:
     """The folder of a flight, or its flight.rrd."""
 
 
-Command = (
-    Annotated[Replay, tyro.conf.subcommand("replay")]
-    | Annotated[Sim, tyro.conf.subcommand("sim")]
-    | Annotated[Run, tyro.conf.subcommand("run")]
-    | Annotated[Doctor, tyro.conf.subcommand("doctor")]
-    | Annotated[Inspect, tyro.conf.subcommand("inspect")]
-)  # fmt: skip
+def commands(config: Config) -> Any:
+    """The commands as the parser takes them; a setting that the command line does not name is that of `config`."""
+    replay = Replay(tyro.MISSING, config=config)
+    run = Run(tyro.MISSING, config=config)
+    return (
+        Annotated[Replay, tyro.conf.subcommand("replay", default=replay)]
+        | Annotated[Sim, tyro.conf.subcommand("sim", default=Sim(config=config))]
+        | Annotated[Run, tyro.conf.subcommand("run", default=run)]
+        | Annotated[Doctor, tyro.conf.subcommand("doctor")]
+        | Annotated[Inspect, tyro.conf.subcommand("inspect")]
+    )  # fmt: skip
+
+
+Command = commands(Config())
 
 
 def box_of(text: str) -> Box:

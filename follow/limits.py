@@ -3,6 +3,8 @@
 import math
 from dataclasses import dataclass
 
+from follow.ranges import require_numbers
+
 MAY_BE_ZERO = ("latency_s", "blind_m_s")
 
 
@@ -39,10 +41,7 @@ class Limits:
     engage_s: float = 5.0  # the autopilot has so long to obey; PX4 may take 1 s of stream and 1 s to say so
 
     def __post_init__(self) -> None:
-        for name in self.__slots__:
-            value = getattr(self, name)
-            if not (math.isfinite(value) and (value > 0 or (name in MAY_BE_ZERO and value == 0))):
-                raise ValueError(f"limit {name} must be a positive number, not {value:g}")
+        require_numbers("limit", self, may_be_zero=MAY_BE_ZERO)
         if self.floor_m >= self.ceiling_m:
             raise ValueError(f"the floor {self.floor_m:g} m must lie below the ceiling {self.ceiling_m:g} m")
         if self.half_view_rad >= math.pi / 2:

@@ -9,7 +9,8 @@ class Gains:
     """u = kp e + ki ∫e - kd d(measurement)/dt, held within ±limit.
 
     The derivative acts on the measurement (no kick when the wanted value jumps) through a first-order filter of time
-    constant `filter_s`.  Raises ValueError when a limit or a time constant is not positive.
+    constant `filter_s`.  Raises ValueError when a limit or a time constant is not positive, or a gain
+    not finite.
     """
 
     kp: float
@@ -19,8 +20,10 @@ class Gains:
     filter_s: float = 0.1  # about three pictures at 30 frames/s
 
     def __post_init__(self) -> None:
-        if not (self.limit > 0 and self.filter_s > 0):
+        if not (self.limit > 0 and 0 < self.filter_s < math.inf):
             raise ValueError(f"a PID's limit and filter time are positive, not {self.limit:g} and {self.filter_s:g}")
+        if not all(map(math.isfinite, (self.kp, self.ki, self.kd))):
+            raise ValueError(f"a PID's gains are finite, not {self.kp:g}, {self.ki:g}, {self.kd:g}")
 
 
 @dataclass(slots=True)

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, BinaryIO
 from typing_extensions import Self
 
 from follow.messages import Tick
+from follow.ranges import require_numbers
 from follow.rows import header, row
 from follow.summary import Figures, Summary
 from racf.box import Box
@@ -32,11 +33,16 @@ FLUSH_EVERY = 15
 
 @dataclass(frozen=True, slots=True)
 class RecordConfig:
-    """How the recording is made."""
+    """How the recording is made.  Raises ValueError for a number out of its range."""
 
     jpeg_quality: int = 75  # of 100; box and texture stay readable, a 640x360 picture takes some 40 kB
     pictures: bool = True  # write flight.rrd; without it ticks.csv and summary.json remain
     queue: int = 16  # pictures waiting for the writer: half a second at 30 pictures/s, 100 MB at full HD
+
+    def __post_init__(self) -> None:
+        require_numbers("record setting", self)
+        if self.jpeg_quality > 100:
+            raise ValueError(f"record setting jpeg_quality must lie in 1..100, not {self.jpeg_quality}")
 
 
 class Recorder:

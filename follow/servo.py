@@ -11,6 +11,7 @@ from enum import Enum
 from follow.geometry import wrap
 from follow.messages import NEVER, Estimate, Setpoint, VehicleState
 from follow.pid import Gains, Pid
+from follow.ranges import require_numbers
 
 
 class ServoMode(str, Enum):
@@ -30,7 +31,7 @@ APPROACH = Gains(kp=0.35, ki=0.02, limit=6.0)  # 1/s, on metres; velocity answer
 
 @dataclass(frozen=True, slots=True)
 class ServoConfig:
-    """The wanted picture and the gains."""
+    """The wanted picture and the gains.  Raises ValueError for a number out of its range."""
 
     mode: ServoMode = ServoMode.CHASE
     standoff_m: float = 12.0  # along the ground; a person of 1.8 m is then some 50 pixels high in 640x360
@@ -43,6 +44,10 @@ class ServoConfig:
     abeam_per_s: float = 0.3  # profile: how fast the angle off right angles is flown away ...
     abeam_m_s: float = 3.0  # ... and the fastest across the line of sight for it
     course_m_s: float = 0.5  # below this speed a target has no course to be abeam of
+
+    def __post_init__(self) -> None:
+        may_be_zero = ("feed_forward", "pitch_filter_s", "abeam_per_s", "abeam_m_s", "course_m_s")
+        require_numbers("servo setting", self, may_be_zero=may_be_zero, any_sign=("orbit_m_s",))
 
 
 STEEPEST_RAD = math.radians(75.0)

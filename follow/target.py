@@ -14,6 +14,7 @@ import numpy as np
 from follow.geometry import Array, Intrinsics, bearing, camera_to_ned, direction, project, wrap
 from follow.messages import NEVER, Estimate, VehicleState
 from follow.motion import Motion, Pose
+from follow.ranges import require_numbers
 from racf.box import Box
 from racf.track import Track
 
@@ -23,7 +24,10 @@ FAR_M = 1e3
 
 @dataclass(frozen=True, slots=True)
 class TargetConfig:
-    """What the estimate knows beforehand, and what it takes for the target."""
+    """What the estimate knows beforehand, and what it takes for the target.
+
+    Raises ValueError for a number out of its range.
+    """
 
     size_m: float = 1.2  # sqrt(width x height) of what is followed: a person of 0.8 x 1.8 m
     size_relative_std: float = 0.5  # ... which may as well be a car: the ground's range soon corrects it
@@ -44,6 +48,10 @@ class TargetConfig:
     coast_s: float = 6.0  # ... and then to slow down with this time constant
     wait_s: float = 0.1  # a box waits so long for the attitude of its time; as old as the gate lets attitude be
     compensate: bool = True  # use the pose at the picture's time and predict over the delay
+
+    def __post_init__(self) -> None:
+        may_be_zero = ("lost_after_s", "confirm", "lose_psr", "regain_psr", "psr_rate", "steady_s", "wait_s")
+        require_numbers("target setting", self, may_be_zero=may_be_zero)
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,14 +36,23 @@ def run(
     """Parse `argv` into one of `commands` (a dataclass or a union of them), execute it, return the exit status.
 
     `config` holds tyro's own markers, applied to the whole tree.
+    """
+    return guarded(
+        lambda: execute(cast(CommandT, parse(commands, argv, prog=prog, description=description, config=config))),
+        prog=prog,
+        failures=failures,
+    )
+
+
+def guarded(work: Callable[[], None], *, prog: str, failures: tuple[type[Exception], ...] = ()) -> int:
+    """Do the work of a program and return its exit status, with its error on one line.
 
     UsageError ends in 2; OSError, ValueError and the `failures` that a program's own parts raise end in 1.  Anything
     else is a defect of ours and keeps its traceback.
     """
     one_core()
     try:
-        command = cast(CommandT, parse(commands, argv, prog=prog, description=description, config=config))
-        execute(command)
+        work()
     except UsageError as error:
         return _complain(prog, error, 2)
     except KeyboardInterrupt:

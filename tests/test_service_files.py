@@ -35,6 +35,9 @@ def test_the_options_are_those_of_follow_run_and_do_not_follow_by_themselves():
     command = parse(Command, ["run", *shlex.split(options[1]), "--out", "somewhere"], prog="follow", description="")
     assert isinstance(command, Run)
     assert not command.follow
+    assert command.settings is not None
+    installed = f"sudo cp docs/service/settings.toml {command.settings}"
+    assert installed in (FOLDER / "README.md").read_text()
 
 
 def test_the_program_listens_where_the_router_sends():

@@ -1,0 +1,27 @@
+"""The one rule that most settings obey: a finite number, above zero where nothing else is said."""
+
+import math
+from collections.abc import Collection
+from dataclasses import fields
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+
+def require_numbers(
+    kind: str, settings: "DataclassInstance", *, may_be_zero: Collection[str] = (), any_sign: Collection[str] = ()
+) -> None:
+    """Raise ValueError naming the first number among the settings that is not finite or not positive."""
+    for name in (f.name for f in fields(settings)):
+        value = getattr(settings, name)
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            continue
+        if name in any_sign:
+            rule, holds = "a finite number", True
+        elif name in may_be_zero:
+            rule, holds = "zero or a positive number", value >= 0
+        else:
+            rule, holds = "a positive number", value > 0
+        if not (holds and math.isfinite(value)):
+            raise ValueError(f"{kind} {name} must be {rule}, not {value:g}")
