@@ -4,14 +4,15 @@ import math
 
 from follow.camera import Camera
 from follow.commands import Replay, box_of
-from follow.config import Config
+from follow.config import Config, suited
 from follow.footage import FootageTarget
 from follow.loop import follow
 from follow.messages import Order
 from follow.record import Recorder
+from follow.safety import Safety
 from follow.scoring import Footage, Truth
 from follow.servo import Servo
-from follow.session import acquire, conclude, fly, gate, once
+from follow.session import acquire, conclude, fly, once
 from follow.target import Target
 from follow.terminal import Terminal
 from follow.video import Replay as ReplayCamera
@@ -46,9 +47,10 @@ def replay(command: Replay) -> None:
         if ptz is not None:
             camera, lens = ptz, ptz.intrinsics
             box = box.moved(-ptz.window.x, -ptz.window.y)
+        config = suited(config, lens)
         target = FootageTarget(Target(lens, config.camera.down_rad, config.target), answers=command.ptz)
         servo = Servo(config.camera.down_rad, config.servo)
-        tracker, safety = acquire(command.tracker, box), gate(config, lens)
+        tracker, safety = acquire(command.tracker, box), Safety(config.limits)
         with link:
             ticks = follow(camera, link, tracker, target, servo, safety, once(Order.FOLLOW))
             ticks = terminal.progress(ticks, footage.rounds, "replay")

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 from follow.camera import Camera
 from follow.commands import Run, box_of
+from follow.config import Config, suited
 from follow.flight import Parts, Spoken, fly, preflight, unwaived
 from follow.geometry import Intrinsics
 from follow.link import Link
@@ -14,8 +15,9 @@ from follow.messages import Autopilot, Tick
 from follow.operator import Operator
 from follow.pymavlink_link import connect
 from follow.record import Recorder
+from follow.safety import Safety
 from follow.servo import Servo
-from follow.session import acquire, conclude, gate
+from follow.session import acquire, conclude
 from follow.signing import Signing
 from follow.summary import Figures
 from follow.target import Target
@@ -33,12 +35,13 @@ VEHICLE_S = 30.0  # an autopilot boots in less
 
 @dataclass(frozen=True, slots=True)
 class Eye:
-    """An open camera and what must be known of it to fly by it."""
+    """An open camera and what must be known of it to fly by it; `config` are the settings suited to it."""
 
     camera: Camera
     lens: Intrinsics
     down_rad: float
     target: Box
+    config: Config
     truth: Callable[[Tick], Box | None] = lambda _tick: None
 
 
@@ -53,7 +56,8 @@ def eye(command: Run, link: Link, report: Callable[[str], None]) -> Eye:
     else:
         camera = RealTime(open_replay(command.camera, None, report))
     mount = command.config.camera
-    return Eye(camera, mount.intrinsics(*camera.size), mount.down_rad, box_of(command.target))
+    lens = mount.intrinsics(*camera.size)
+    return Eye(camera, lens, mount.down_rad, box_of(command.target), suited(command.config, lens))
 
 
 def scene_eye(command: Run, link: Link) -> Eye:
@@ -69,7 +73,9 @@ def scene_eye(command: Run, link: Link) -> Eye:
     def true_box(tick: Tick) -> Box | None:
         return None if tick.frame is None else camera.truth(tick.frame.index).box
 
-    return Eye(camera, camera.settings.intrinsics, camera.settings.down_rad, target, true_box)
+    lens = camera.settings.intrinsics
+    config = suited(command.config, lens, scenario.suggested)
+    return Eye(camera, lens, camera.settings.down_rad, target, config, true_box)
 
 
 def fly_live(command: Run) -> None:
@@ -79,10 +85,9 @@ def fly_live(command: Run) -> None:
     log = logging.getLogger("follow")
     log.addHandler(spoken)
     log.setLevel(logging.INFO)
-    config = command.config
     terminal.report(f"tracker warm after {warm_up():.1f} s")
     about = f"# follow run {command.link} {command.camera}\n\ntracker {command.tracker}"
-    with Recorder(command.out, config.record, terminal.report, waits=False, about=about) as recorder:
+    with Recorder(command.out, command.config.record, terminal.report, waits=False, about=about) as recorder:
         terminal.listeners.append(recorder.message)
         signing = Signing(command.signing_key) if command.signing_key else None
         tlog = Tlog(command.out / "flight.tlog")
@@ -98,9 +103,9 @@ def fly_live(command: Run) -> None:
                     camera,
                     link,
                     acquire(command.tracker, seen.target),
-                    Target(seen.lens, seen.down_rad, config.target),
-                    Servo(seen.down_rad, config.servo),
-                    gate(config, seen.lens),
+                    Target(seen.lens, seen.down_rad, seen.config.target),
+                    Servo(seen.down_rad, seen.config.servo),
+                    Safety(seen.config.limits),
                 )
                 fly(parts, operator, lambda tick: recorder.tick(tick, seen.truth(tick)), command.seconds)
             autopilot = link.state().autopilot

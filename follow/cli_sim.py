@@ -6,13 +6,14 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from follow.commands import Sim
-from follow.config import Config, beneath
+from follow.config import Config, suited
 from follow.loop import follow
 from follow.messages import Autopilot, Order, Tick
 from follow.parallel import each
 from follow.record import Recorder
+from follow.safety import Safety
 from follow.servo import Servo
-from follow.session import acquire, conclude, fly, gate, once
+from follow.session import acquire, conclude, fly, once
 from follow.summary import Figures
 from follow.target import Target
 from follow.terminal import Terminal, result, table
@@ -45,9 +46,9 @@ def simulate(flight: Flight, terminal: Terminal, *, bar: bool) -> tuple[Figures,
     scenario, config = SCENARIOS[flight.scenario], flight.config
     camera, link, world = build(scenario, flight.seed, flight.autopilot)
     lens, down_rad = camera.settings.intrinsics, camera.settings.down_rad
-    target = Target(lens, down_rad, beneath(config.target, {"size_m": scenario.size_m}))
-    servo = Servo(down_rad, beneath(config.servo, {"standoff_m": scenario.standoff_m}))
-    safety = gate(config, lens, latency_s=scenario.latency_s, **scenario.limits)
+    config = suited(config, lens, scenario.suggested)
+    target, servo = Target(lens, down_rad, config.target), Servo(down_rad, config.servo)
+    safety = Safety(config.limits)
     about = f"# follow sim {flight.scenario}\n\n{scenario.about}; seed {flight.seed}, {flight.autopilot.value}"
     rows: list[Row] = []
     strip = Strip(scenario.duration_s)

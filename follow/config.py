@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from follow.geometry import Intrinsics
@@ -62,3 +63,15 @@ def beneath(chosen: BranchT, suggested: Mapping[str, Any]) -> BranchT:
     if unknown:
         raise TypeError(f"{type(chosen).__name__} has no setting {', '.join(sorted(unknown))}")
     return replace(chosen, **{name: value for name, value in suggested.items() if name in untouched})
+
+
+def suited(
+    chosen: Config, lens: Intrinsics, suggested: Mapping[str, Mapping[str, float]] = MappingProxyType({})
+) -> Config:
+    """The settings to fly with: what a person chose, above what a scenario suggests, above what the lens does.
+
+    `suggested` holds settings by branch.  Raises TypeError for a suggestion that is not a setting.
+    """
+    limits = {"half_view_rad": lens.horizontal_fov_rad / 2, **suggested.get("limits", {})}
+    branches = {**suggested, "limits": limits}
+    return replace(chosen, **{name: beneath(getattr(chosen, name), values) for name, values in branches.items()})

@@ -4,11 +4,8 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from follow.acquire import Acquire
-from follow.config import Config, beneath
-from follow.geometry import Intrinsics
 from follow.messages import Order, Tick
 from follow.record import Recorder
-from follow.safety import Safety
 from follow.summary import Figures
 from follow.terminal import Terminal, result
 from racf import Racf
@@ -34,11 +31,6 @@ def once(order: Order) -> Callable[[], Order | None]:
     """An operator who gives one order, in the first round."""
     orders = iter((order,))
     return lambda: next(orders, None)
-
-
-def gate(config: Config, lens: Intrinsics, **suggested: float) -> Safety:
-    """The gate for a camera; `suggested` limits give way to those that a person chose."""
-    return Safety(beneath(config.limits, {"half_view_rad": lens.horizontal_fov_rad / 2, **suggested}))
 
 
 def fly(ticks: Iterable[Tick], recorder: Recorder, terminal: Terminal, truth: Callable[[Tick], Box | None]) -> bool:

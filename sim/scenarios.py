@@ -59,6 +59,15 @@ class Scenario:
         lean = math.atan(ANSWERS[autopilot].horizontal.drag_per_s * self.cruise_m_s / GRAVITY_M_S2)
         return math.atan2(self.height_m - MIDDLE_M[self.kind], self.standoff_m) - lean
 
+    @property
+    def suggested(self) -> dict[str, dict[str, float]]:
+        """What this flight suggests of the application's settings, by branch."""
+        return {
+            "target": {"size_m": self.size_m},
+            "servo": {"standoff_m": self.standoff_m},
+            "limits": {"latency_s": self.latency_s, **self.limits},
+        }
+
     def start(self, world: World, seed: int) -> Motion:
         """Behind the target, looking at it but for a few degrees."""
         random = np.random.default_rng([seed, 7])

@@ -12,7 +12,6 @@ from dataclasses import replace
 import pytest
 from real_flight import CONTROL, PILOTS_CHOICE, Real, real_flight, until
 
-from follow.servo import ServoConfig
 from sim.scenarios import SCENARIOS, Scenario
 
 FOLLOW_S = float(os.environ.get("FOLLOW_RUN_S", "10"))
@@ -76,5 +75,5 @@ def check_that_it_followed(rows: list[dict[str, str]], scenario: Scenario) -> No
     assert sum(in_view) > 0.9 * len(in_view)
     range_m, off = places[-1]
     assert abs(off) < math.radians(20.0)
-    assert range_m == pytest.approx(ServoConfig().standoff_m, abs=4.0)
+    assert range_m == pytest.approx(scenario.standoff_m, abs=4.0)
     assert world.target(0.0) != world.target(FOLLOW_S)

@@ -7,13 +7,18 @@ from pathlib import Path
 import pytest
 
 from follow.cli import main
+from follow.cli_run import scene_eye
 from follow.commands import MARKERS, Run, commands
 from follow.config import Config
 from follow.limits import Limits
+from follow.messages import Autopilot
 from follow.pid import Gains
 from follow.servo import ServoConfig, ServoMode
 from follow.settings import as_toml, read_settings, settings_of, tomllib
 from racf.commandline import UsageError, parse
+from sim.dynamics import Motion, Vehicle
+from sim.link import SimLink
+from sim.scenarios import SCENARIOS
 
 EXAMPLE = Path(__file__).parents[1] / "docs" / "service" / "settings.toml"
 
@@ -136,3 +141,16 @@ def test_the_option_without_a_file_is_wrong_use(capfd):
 def test_a_command_without_settings_refuses_the_option(capfd):
     assert main(["doctor", "--settings", str(EXAMPLE)]) == 2
     assert "--settings" in capfd.readouterr().err
+
+
+def test_a_live_scene_is_flown_with_what_its_scenario_suggests_beneath_what_a_person_chose():
+    scenario = SCENARIOS["runner"]
+    chosen = Config(limits=Limits(fence_m=80.0))
+    command = Run("udpin:0.0.0.0:1", camera="scene:runner", config=chosen)
+    with SimLink(Vehicle(Autopilot.PX4, Motion(down_m=-8.0))) as link:
+        seen = scene_eye(command, link)
+    assert seen.config.servo.standoff_m == scenario.standoff_m != ServoConfig().standoff_m
+    assert seen.config.target.size_m == scenario.size_m != Config().target.size_m
+    assert seen.config.limits.half_view_rad == pytest.approx(scenario.fov_rad / 2)
+    wanted = replace(chosen.limits, speed_m_s=scenario.limits["speed_m_s"])
+    assert replace(seen.config.limits, half_view_rad=wanted.half_view_rad) == wanted
