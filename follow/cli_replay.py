@@ -13,6 +13,7 @@ from follow.safety import Safety
 from follow.scoring import Footage, Truth
 from follow.servo import Servo
 from follow.session import acquire, conclude, fly, once
+from follow.settings import as_toml
 from follow.target import Target
 from follow.terminal import Terminal
 from follow.video import Replay as ReplayCamera
@@ -48,6 +49,7 @@ def replay(command: Replay) -> None:
             camera, lens = ptz, ptz.intrinsics
             box = box.moved(-ptz.window.x, -ptz.window.y)
         config = suited(config, lens)
+        recorder.settings(as_toml(config))
         target = FootageTarget(Target(lens, config.camera.down_rad, config.target), answers=command.ptz)
         servo = Servo(config.camera.down_rad, config.servo)
         tracker, safety = acquire(command.tracker, box), Safety(config.limits)

@@ -18,6 +18,7 @@ from follow.record import Recorder
 from follow.safety import Safety
 from follow.servo import Servo
 from follow.session import acquire, conclude
+from follow.settings import as_toml
 from follow.signing import Signing
 from follow.summary import Figures
 from follow.target import Target
@@ -96,6 +97,7 @@ def fly_live(command: Run) -> None:
             findings = preflight(link, command.out, signs=signing is not None)
             red = unwaived(findings, command.waive, terminal.report)
             seen = eye(command, link, terminal.report)
+            recorder.settings(as_toml(seen.config))
             heard = link.client.heard
             operator = Operator(terminal.report, command.follow, command.rc_channel, heard, red)
             with seen.camera as camera:

@@ -14,6 +14,7 @@ from follow.record import Recorder
 from follow.safety import Safety
 from follow.servo import Servo
 from follow.session import acquire, conclude, fly, once
+from follow.settings import as_toml
 from follow.summary import Figures
 from follow.target import Target
 from follow.terminal import Terminal, result, table
@@ -53,6 +54,7 @@ def simulate(flight: Flight, terminal: Terminal, *, bar: bool) -> tuple[Figures,
     rows: list[Row] = []
     strip = Strip(scenario.duration_s)
     with camera, Recorder(flight.out, config.record, terminal.report, waits=True, about=about) as recorder:
+        recorder.settings(as_toml(config))
         tracker = acquire(flight.tracker, camera.first()[1])
 
         def true_box(tick: Tick) -> Box | None:

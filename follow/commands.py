@@ -36,7 +36,7 @@ class Replay:
     autopilot: Autopilot = Autopilot.PX4
     """Whose rules the pretended vehicle obeys."""
     out: Path = Path("out/replay")
-    """Folder of flight.rrd, ticks.csv and summary.json."""
+    """Folder of flight.rrd, ticks.csv, settings.toml and summary.json."""
     json: bool = False
     """Print the summary as JSON on standard output."""
     settings: Path | None = None
@@ -63,7 +63,7 @@ class Sim:
     tracker: str = TRACKER
     """Tracker by name, with settings: racf, racf-, racf--, bacf, arcf-hc; e.g. racf-,robust."""
     out: Path = Path("out/sim")
-    """Folder of flight.rrd, ticks.csv, summary.json and flight.png."""
+    """Folder of flight.rrd, ticks.csv, settings.toml, summary.json and flight.png."""
     json: bool = False
     """Print the summary (with --all: of each flight) as JSON on standard output."""
     settings: Path | None = None
@@ -102,7 +102,7 @@ class Run:
     tracker: str = TRACKER
     """Tracker by name, with settings: racf, racf-, racf--, bacf, arcf-hc; e.g. racf,robust,cell=4."""
     out: Path = Path("out/run")
-    """Folder of flight.rrd, flight.tlog, ticks.csv and summary.json."""
+    """Folder of flight.rrd, flight.tlog, ticks.csv, settings.toml and summary.json."""
     json: bool = False
     """Print the summary as JSON on standard output."""
     settings: Path | None = None

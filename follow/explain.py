@@ -80,6 +80,11 @@ class Explanation:
         self._stamp()
         self._say(text, rr.TextLogLevel.WARN)
 
+    def settings(self, toml: str) -> None:
+        """Log what the flight is flown with."""
+        text = rr.TextDocument(f"```toml\n{toml}```\n", media_type=rr.MediaType.MARKDOWN)
+        self._recording.log("settings", text, static=True)
+
     def flush(self) -> None:
         """Wait until what is logged is in the file."""
         try:
@@ -173,6 +178,7 @@ def layout(play_state: Literal["paused", "playing", "following"] = "paused") -> 
         rrb.Tabs(
             rrb.TextLogView(origin="/messages", name="Messages"),
             rrb.TextDocumentView(origin="/about", name="About this flight"),
+            rrb.TextDocumentView(origin="/settings", name="Settings"),
         ),
         row_shares=[6, 1, 2],
     )

@@ -1,4 +1,4 @@
-"""The recorder: ticks in, `flight.rrd`, `ticks.csv` and `summary.json` out.
+"""The recorder: ticks in, `flight.rrd`, `ticks.csv`, `settings.toml` and `summary.json` out.
 
 The loop never waits for it.  A row of text is made at once and kept until written; pictures go to a worker through a
 bounded queue that drops its oldest and counts the drops.  Where time is simulated nothing is late, so there the queue
@@ -61,7 +61,7 @@ class Recorder:
         self._change = threading.Condition()
         self._texts: deque[str] = deque()
         self._scenes: deque[tuple[int, Tick, Box | None]] = deque()
-        self._messages: deque[str] = deque()
+        self._said: deque[Callable[[Explanation], None]] = deque()
         self._closing = False
         self._count = 0
         self._worker = threading.Thread(target=self._work, name="recorder", daemon=True)
@@ -84,9 +84,14 @@ class Recorder:
 
     def message(self, text: str) -> None:
         """Record one line for a person."""
-        with self._change:
-            self._messages.append(text)
-            self._change.notify_all()
+        self._say(lambda explanation: explanation.message(text))
+
+    def settings(self, toml: str) -> None:
+        """Record what the flight is flown with, also as a file that `--settings` takes."""
+        file = _File(self.out / "settings.toml", self._report)
+        file.write(toml.encode())
+        file.close()
+        self._say(lambda explanation: explanation.settings(toml))
 
     def close(self, figures: Figures | None = None) -> Figures:
         """Write what waits and the summary, with `figures` added; returns the summary."""
@@ -104,6 +109,11 @@ class Recorder:
         file.close()
         return whole
 
+    def _say(self, say: "Callable[[Explanation], None]") -> None:
+        with self._change:
+            self._said.append(say)
+            self._change.notify_all()
+
     def _work(self) -> None:
         from follow.explain import Explanation  # noqa: PLC0415 - Rerun takes a second to load; the loop goes on
 
@@ -112,34 +122,40 @@ class Recorder:
             explanation = Explanation(self._flight, self._about, self._config.jpeg_quality)
         going = True
         while going:
-            texts, scene, messages, going = self._next()
+            texts, scene, said, going = self._next()
             self._rows.write("".join(texts).encode())
             try:
                 if explanation is not None:
-                    self._explain(explanation, scene, messages, close=not going)
+                    self._explain(explanation, scene, said, close=not going)
             except OSError as error:
                 self._report(str(error))
                 explanation = None
 
-    def _next(self) -> "tuple[list[str], Scene | None, list[str], bool]":
-        """Wait for something to write: rows, a scene, messages, and whether more may come."""
+    def _next(self) -> "tuple[list[str], Scene | None, list[Callable[[Explanation], None]], bool]":
+        """Wait for something to write: rows, a scene, what else was said, and whether more may come."""
         from follow.explain import Scene  # noqa: PLC0415 - as above
 
         with self._change:
-            self._change.wait_for(lambda: self._texts or self._scenes or self._messages or self._closing)
-            texts, messages = list(self._texts), list(self._messages)
+            self._change.wait_for(lambda: self._texts or self._scenes or self._said or self._closing)
+            texts, said = list(self._texts), list(self._said)
             self._texts.clear()
-            self._messages.clear()
+            self._said.clear()
             scene = Scene(*self._scenes.popleft()) if self._scenes else None
             self._change.notify_all()
-            return texts, scene, messages, not self._closing or scene is not None
+            return texts, scene, said, not self._closing or scene is not None
 
     @staticmethod
-    def _explain(explanation: "Explanation", scene: "Scene | None", messages: list[str], *, close: bool) -> None:
+    def _explain(
+        explanation: "Explanation",
+        scene: "Scene | None",
+        said: "list[Callable[[Explanation], None]]",
+        *,
+        close: bool,
+    ) -> None:
         if scene is not None:
             explanation.tick(scene)
-        for text in messages:
-            explanation.message(text)
+        for say in said:
+            say(explanation)
         if close:
             explanation.close()
         elif scene is not None and scene.n % FLUSH_EVERY == 0:

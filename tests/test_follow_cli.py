@@ -12,6 +12,7 @@ import pytest
 
 from follow import cli_replay
 from follow.cli import main
+from follow.settings import read_settings
 from sim.clip import clip, write
 from sim.scenarios import SCENARIOS
 
@@ -167,6 +168,22 @@ def test_the_same_scenario_and_seed_twice_gives_the_same_bytes(capfd, brief, tmp
     assert summary["violations"] == {}
     assert (summary["scenario"], summary["seed"], summary["autopilot"]) == ("brief", 3, "px4")
     assert (tmp_path / "a/brief/flight.png").stat().st_size > 10_000
+
+
+def test_the_settings_flown_with_are_recorded_and_fly_the_same_again(capfd, brief, tmp_path):
+    chosen = tmp_path / "mine.toml"
+    chosen.write_text("[servo]\nstandoff_m = 20.0\n[record]\npictures = false\n")
+    words = ("sim", brief, "--limits.speed-m-s", "3", "--settings")
+    assert follow(capfd, *words, chosen, "--out", tmp_path / "a")[0] == 0
+    flown = read_settings(tmp_path / "a/brief/settings.toml")
+    assert (flown.servo.standoff_m, flown.limits.speed_m_s) == (20.0, 3.0)
+    assert flown.target.size_m == SCENARIOS[brief].size_m
+    assert flown.limits.half_view_rad == pytest.approx(SCENARIOS[brief].fov_rad / 2)
+    words = ("sim", brief, "--settings", tmp_path / "a/brief/settings.toml", "--out", tmp_path / "b")
+    assert follow(capfd, *words)[0] == 0
+    for name in ("settings.toml", "ticks.csv"):
+        assert (tmp_path / "a/brief" / name).read_bytes() == (tmp_path / "b/brief" / name).read_bytes()
+    assert not (tmp_path / "b/brief/flight.rrd").exists()
 
 
 def test_what_a_person_chose_stands_above_what_the_scenario_suggests(capfd, brief, tmp_path):

@@ -51,7 +51,7 @@ def test_the_footage_commands_of_the_readme_run(words, tmp_path, monkeypatch, ca
     write(Path("clip.mp4"), 12)
     assert main([*words, "--json"] if "--json" not in words else words) == 0
     assert json.loads(capfd.readouterr().out)["frames"] == 12
-    for name in ("flight.rrd", "ticks.csv", "summary.json"):
+    for name in ("flight.rrd", "ticks.csv", "settings.toml", "summary.json"):
         assert (tmp_path / "out/replay" / name).is_file()
 
 

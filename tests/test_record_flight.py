@@ -77,6 +77,7 @@ def test_rerun_verifies_the_recording(tmp_path):
         for n in range(20):
             recorder.tick(tick(n, found=n != 5), Box(9, 8, 12, 14) if n % 2 else None)
         recorder.message("a line for a person")
+        recorder.settings("[limits]\n")
     rerun = Path(sys.executable).with_name("rerun")
     subprocess.run([rerun, "rrd", "verify", tmp_path / "flight.rrd"], check=True, capture_output=True, timeout=60)
     shown = subprocess.run(
@@ -91,7 +92,8 @@ def test_rerun_verifies_the_recording(tmp_path):
         "/response",
         "/mask",
     )
-    entities += ("/track/confidence", "/wish/velocity", "/setpoint/velocity", "/mode", "/messages", "/timings/tracker")
+    entities += ("/track/confidence", "/wish/velocity", "/setpoint/velocity", "/mode", "/messages", "/settings")
+    entities += ("/timings/tracker",)
     for entity in entities:
         assert f"{entity} " in shown or f"{entity}\n" in shown or f"{entity}'" in shown, entity
 
