@@ -32,7 +32,10 @@ FIELDS: tuple[Colour, ...] = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ground:
-    """`levels[k]` has texels of CELL_M·2^k; texel (row 0, column 0) begins at (`north_m`, `east_m`)."""
+    """`levels[k]` has texels of CELL_M·2^k; texel (row 0, column 0) begins at (`north_m`, `east_m`).
+
+    They are BGRA as the scene's pictures are, the last channel unused.
+    """
 
     levels: tuple[Image, ...]
     detail: Image
@@ -206,7 +209,7 @@ def ground(world: World) -> Ground:
     image = cv2.addWeighted(image, 1, tiled(128 + 5 * noise(random, TILE, 4, 1), size), 1, -128)
     light = shadows((size, size), north, east, world)
     image = cv2.multiply(image, cv2.cvtColor(light, cv2.COLOR_GRAY2BGR), scale=1 / 255)
-    levels = [np.asarray(image, np.uint8)]
+    levels = [np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2BGRA), np.uint8)]
     while len(levels) < LEVELS:
         half = cv2.resize(levels[-1], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
         levels.append(np.asarray(half, np.uint8))

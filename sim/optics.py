@@ -26,7 +26,6 @@ class Optics:
     jpeg_quality: int | None = None  # None: raw pictures
 
 
-MARGIN = 0.12  # of the picture's size, drawn around it so that a barrel-shaped lens finds something in the corners
 NOISE_SIZE = (480, 800)  # rows and columns of noise from which each picture takes a random piece
 
 
@@ -39,7 +38,13 @@ class Lens:
         self.ideal = camera
         if not self.bent:
             return
-        x, y = math.ceil(MARGIN * camera.width), math.ceil(MARGIN * camera.height)
+        columns, rows = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
+        across, down = (columns.ravel() - camera.cx) / camera.fx, (rows.ravel() - camera.cy) / camera.fy
+        seen = np.stack([across, down], axis=1).astype(np.float64)
+        flat = undistort(camera, seen) * (camera.fx, camera.fy) + (camera.cx, camera.cy)
+        # The ideal picture reaches as far as the lens looks; a row more for the interpolation.
+        beyond = np.maximum(-flat.min(axis=0), flat.max(axis=0) - (camera.width, camera.height))
+        x, y = np.ceil(np.maximum(beyond, 0) + 1).astype(int).tolist()
         self.ideal = replace(
             camera,
             width=camera.width + 2 * x,
@@ -48,19 +53,13 @@ class Lens:
             cy=camera.cy + y,
             distortion=(0.0,) * 5,
         )
-        columns, rows = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
-        across, down = (columns.ravel() - camera.cx) / camera.fx, (rows.ravel() - camera.cy) / camera.fy
-        seen = np.stack([across, down], axis=1).astype(np.float64)
-        flat = undistort(camera, seen)
-        from_x = (flat[:, 0] * camera.fx + self.ideal.cx - 0.5).reshape(rows.shape).astype(np.float32)
-        from_y = (flat[:, 1] * camera.fy + self.ideal.cy - 0.5).reshape(rows.shape).astype(np.float32)
-        self._maps = cv2.convertMaps(from_x, from_y, cv2.CV_16SC2)
+        self._from_x = (flat[:, 0] + x - 0.5).reshape(rows.shape).astype(np.float32)
+        self._from_y = (flat[:, 1] + y - 0.5).reshape(rows.shape).astype(np.float32)
 
     def bend(self, image: Image) -> Image:
-        """The picture as the lens gives it."""
-        if not self.bent:
-            return image
-        return np.asarray(cv2.remap(image, self._maps[0], self._maps[1], cv2.INTER_LINEAR), np.uint8)
+        """The picture as the lens gives it: BGR from BGRA."""
+        bent = cv2.remap(image, self._from_x, self._from_y, cv2.INTER_LINEAR) if self.bent else image
+        return np.asarray(cv2.cvtColor(bent, cv2.COLOR_BGRA2BGR), np.uint8)
 
     def bend_box(self, seen: Seen) -> Seen:
         """The box about the bent outline of a box."""

@@ -16,7 +16,7 @@ REACH = 0.46  # a crown's radius as a share of its copy's side
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sprite:
-    """Copies of a crown: colour times cover, and 255 - cover in three equal channels."""
+    """Copies of a crown: colour times cover, and 255 - cover; each in four equally deep channels as pictures have."""
 
     colour: tuple[Image, ...]
     rest: tuple[Image, ...]
@@ -28,8 +28,8 @@ class Sprite:
             return
         level, matrix, (x0, y0, x1, y1) = placed
         size, flags = (x1 - x0, y1 - y0), cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        colour = cv2.warpAffine(self.colour[level], matrix, size, None, flags, cv2.BORDER_CONSTANT, (0, 0, 0))
-        rest = cv2.warpAffine(self.rest[level], matrix, size, None, flags, cv2.BORDER_CONSTANT, (255, 255, 255))
+        colour = cv2.warpAffine(self.colour[level], matrix, size, None, flags, cv2.BORDER_CONSTANT, (0, 0, 0, 0))
+        rest = cv2.warpAffine(self.rest[level], matrix, size, None, flags, cv2.BORDER_CONSTANT, (255, 255, 255, 255))
         region = image[y0:y1, x0:x1]
         cv2.multiply(region, rest, region, 1 / 255)
         cv2.add(region, colour, region)
@@ -41,7 +41,7 @@ class Sprite:
             return
         level, matrix, (x0, y0, x1, y1) = placed
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        rest = self.rest[level][:, :, 0].copy()
+        rest = cv2.extractChannel(self.rest[level], 0)
         shown = cv2.warpAffine(rest, matrix, (x1 - x0, y1 - y0), None, flags, cv2.BORDER_CONSTANT, (255,))
         mask[y0:y1, x0:x1][shown < 128] = value
 
@@ -85,7 +85,8 @@ def crown(random: np.random.Generator) -> Sprite:
     grain = random.normal(0, 14, (SIZE, SIZE, 1))
     image = np.clip(image + cv2.GaussianBlur(grain, (0, 0), 0.8)[..., None], 0, 255).astype(np.uint8)
     cover3 = cv2.merge([cover] * 3)
-    return Sprite(copies(cv2.multiply(image, cover3, scale=1 / 255)), copies(cv2.bitwise_not(cover3)))
+    colour = cv2.multiply(image, cover3, scale=1 / 255)
+    return Sprite(copies(cv2.cvtColor(colour, cv2.COLOR_BGR2BGRA)), copies(cv2.merge([cv2.bitwise_not(cover)] * 4)))
 
 
 def copies(image: cv2.typing.MatLike) -> tuple[Image, ...]:

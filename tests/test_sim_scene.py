@@ -12,10 +12,11 @@ from sim.body import body
 from sim.drawing import View
 from sim.optics import Lens, Optics, Sensor, streak
 from sim.scenarios import SCENARIOS, build
-from sim.scene import Scene, Seen
+from sim.scene import SKY, Scene, Seen
 from sim.world import Actor, Kind, Leg, Look, Sun, Tree, World, route, wall
 
 CAMERA = Intrinsics.from_fov(640, 360, math.radians(80.0))
+BENT = replace(CAMERA, cx=320.0, cy=180.0, distortion=(-0.2, 0.03, 0.0, 0.0, 0.0))
 
 
 def standing(kind: Kind = Kind.WALKER, north_m: float = 0.0, heading_rad: float = 0.0, **more) -> World:
@@ -59,10 +60,10 @@ def test_the_ground_lies_where_geometry_projects_it(pose):
     for k, level in enumerate(levels):
         cell = 0.125 * 2**k
         place = round((east - ground.east_m) / cell - 0.5), round((north - ground.north_m) / cell - 0.5)
-        cv2.circle(level, place, max(1, round(0.5 / cell)), (255, 255, 255), -1)
+        cv2.circle(level, place, max(1, round(0.5 / cell)), (255, 255, 255, 0), -1)
     scene.ground = type(ground)(levels, np.full_like(ground.detail, 128), ground.north_m, ground.east_m)
     image = scene._ground(v)
-    rows, columns = np.nonzero(image.min(axis=2) > 200)
+    rows, columns = np.nonzero(image[:, :, :3].min(axis=2) > 200)
     expected, _ = project(CAMERA, v.rotation, v.place, [(north, east, 0.0)])
     assert (columns.mean() + 0.5, rows.mean() + 0.5) == pytest.approx(tuple(expected[0]), abs=2.0)
 
@@ -84,7 +85,7 @@ def test_the_true_box_holds_the_body_and_nothing_more(kind, heading):
     assert low[1] - slack - 1 <= box.y <= low[1] + 1
     assert high[0] - 1 <= box.x + box.w <= high[0] + slack + 1
     empty = without(scene).draw(v, 0.0)[0]
-    changed = np.abs(image.astype(int) - empty).sum(axis=2) > 60
+    changed = np.abs(image.astype(int) - empty)[:, :, :3].sum(axis=2) > 60
     inside = changed[int(box.y) : int(box.y + box.h) + 1, int(box.x) : int(box.x + box.w) + 1]
     assert inside.mean() > 0.25
 
@@ -125,9 +126,15 @@ def test_what_leaves_the_picture_is_not_visible():
 
 def test_the_sky_is_above_the_horizon():
     image = Scene(standing(), CAMERA).draw(view(down_deg=0.0), 0.0)[0]
-    top, bottom = image[:150].reshape(-1, 3).mean(axis=0), image[210:].reshape(-1, 3).mean(axis=0)
-    assert top[0] > 200
-    assert bottom[0] < 150
+    blue = image[:, :, 0]
+    assert blue[:150].mean() > 200
+    assert blue[210:].mean() < 150
+
+
+@pytest.mark.parametrize("yaw", [0.0, 2.0])
+def test_a_camera_that_looks_up_sees_nothing_but_sky(yaw):
+    image = Scene(standing(), CAMERA).draw(view(down_deg=-60.0, yaw=yaw), 0.0)[0]
+    assert np.all(image[:, :, :3] == SKY)
 
 
 def test_a_shadow_lies_on_the_side_away_from_the_sun():
@@ -135,8 +142,8 @@ def test_a_shadow_lies_on_the_side_away_from_the_sun():
         sun = Sun(azimuth, 0.6)
         v = view(-12.0, height_m=8.0, down_deg=33.0)
         scene = Scene(standing(sun=sun), CAMERA)
-        shown = scene.draw(v, 0.0)[0].astype(float).sum(axis=2)
-        empty = without(scene).draw(v, 0.0)[0].astype(float).sum(axis=2)
+        shown = scene.draw(v, 0.0)[0][:, :, :3].astype(float).sum(axis=2)
+        empty = without(scene).draw(v, 0.0)[0][:, :, :3].astype(float).sum(axis=2)
         dark = shown < 0.75 * empty
         return dark[:, :300].sum(), dark[:, 340:].sum()
 
@@ -177,9 +184,9 @@ def test_the_first_picture_can_be_had_before_the_flight():
 
 
 def test_a_straight_lens_changes_nothing_and_a_bent_one_moves_boxes_with_the_picture():
-    image = np.zeros((360, 640, 3), np.uint8)
-    assert Lens(CAMERA).bend(image) is image
-    bent = Lens(Intrinsics(640, 360, CAMERA.fx, CAMERA.fy, 320, 180, (-0.2, 0.03, 0, 0, 0)))
+    image = np.random.default_rng(0).integers(0, 256, (360, 640, 4), np.uint8)
+    assert np.array_equal(Lens(CAMERA).bend(image), image[:, :, :3])
+    bent = Lens(BENT)
     scene = Scene(standing(), bent.ideal)
     v = View(bent.ideal, camera_to_ned(0.3, 0.0, 0.0, 0.45), np.array([-9.0, 0.0, -6.0]))
     drawn, (seen,) = scene.draw(v, 0.0)
@@ -190,6 +197,13 @@ def test_a_straight_lens_changes_nothing_and_a_bent_one_moves_boxes_with_the_pic
     box = bent.bend_box(seen).box
     assert (columns.min(), rows.min()) == pytest.approx((box.x, box.y), abs=1.5)
     assert (columns.max() + 1, rows.max() + 1) == pytest.approx((box.x + box.w, box.y + box.h), abs=1.5)
+
+
+@pytest.mark.parametrize("distortion", [(-0.2, 0.03, 0, 0, 0), (0.1, 0, 0, 0, 0), (-0.1, 0, 0.01, -0.01, 0)])
+def test_a_bent_picture_has_no_black_corners(distortion):
+    lens = Lens(replace(BENT, distortion=distortion))
+    full = np.full((lens.ideal.height, lens.ideal.width, 4), 200, np.uint8)
+    assert lens.bend(full).min() == 200
 
 
 @pytest.mark.parametrize("smear", [(6.0, 0.0), (0.0, -4.0), (3.0, 5.0)])
