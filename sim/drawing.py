@@ -31,7 +31,7 @@ class View:
         """(N, 2) pixels of an ideal pinhole and (N,) depths; what lies behind has no meaning but its depth."""
         seen = (points - self.place) @ self.rotation
         depth = seen[:, 2]
-        safe = np.where(depth > 1e-3, depth, 1e-3)[:, None]
+        safe = np.maximum(depth, 1e-3)[:, None]
         return seen[:, :2] / safe * (self.camera.fx, self.camera.fy) + (self.camera.cx, self.camera.cy), depth
 
     def homography(self) -> Array:

@@ -18,6 +18,8 @@ DETAIL_CELL_M = 0.025
 DETAIL_SIZE = 512  # texels after which it repeats: 12.8 m
 DETAIL_TIMES = 4
 LEVELS = 6
+FAR_LEVELS = 2  # so many of them reach beyond the ground's edge, and OpenCV is slow where a texture has to wrap
+FAR_TIMES = 9  # odd, so that the middle one is where the ground is
 SHADE = 0.55  # light in shadow over light in the sun, a clear day
 
 FIELDS: tuple[Colour, ...] = (
@@ -32,8 +34,9 @@ FIELDS: tuple[Colour, ...] = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ground:
-    """`levels[k]` has texels of CELL_M·2^k; texel (row 0, column 0) begins at (`north_m`, `east_m`).
+    """`levels[k]` has texels of CELL_M·2^k; texel (row 0, column 0) of the finest begins at (`north_m`, `east_m`).
 
+    The ground repeats; the coarsest copies hold it FAR_TIMES over, about the same middle.
     They are BGRA as the scene's pictures are, the last channel unused.
     """
 
@@ -41,6 +44,11 @@ class Ground:
     detail: Image
     north_m: float
     east_m: float
+
+    @property
+    def size_m(self) -> float:
+        """How long and wide the ground is until it repeats."""
+        return len(self.levels[0]) * CELL_M
 
 
 def noise(random: np.random.Generator, size: int, coarsest: int, finest: int) -> NDArray[np.float32]:
@@ -213,6 +221,7 @@ def ground(world: World) -> Ground:
     while len(levels) < LEVELS:
         half = cv2.resize(levels[-1], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
         levels.append(np.asarray(half, np.uint8))
+    levels[-FAR_LEVELS:] = [np.asarray(cv2.repeat(far, FAR_TIMES, FAR_TIMES), np.uint8) for far in levels[-FAR_LEVELS:]]
     tile = noise(random, DETAIL_SIZE, 32, 2)
     detail = np.clip(128 + 40 * tile, 0, 255).astype(np.uint8)
     return Ground(tuple(levels), np.asarray(cv2.repeat(detail, DETAIL_TIMES, DETAIL_TIMES), np.uint8), north, east)

@@ -81,7 +81,8 @@ class Sensor:
         self.optics, self.light = optics, light * optics.light
         self._seed = seed
         sample = np.random.default_rng([seed, 5]).normal(0.0, max(optics.noise, 1e-6), (*NOISE_SIZE, 3))
-        self._noise = np.clip(sample + 128, 0, 255).astype(np.uint8)
+        # Two tiles because pixels have no sign: what noise adds, and what it takes away.
+        self._more, self._less = (np.clip(np.rint(part), 0, 255).astype(np.uint8) for part in (sample, -sample))
 
     def expose(self, image: Image, smear: tuple[float, float], t_s: float, index: int) -> Image:
         """The picture number `index`, taken at `t_s` while its content moved by `smear` pixels."""
@@ -89,15 +90,15 @@ class Sensor:
         if max(abs(smear[0]), abs(smear[1])) > 0.7:
             image = np.asarray(cv2.filter2D(image, -1, streak(smear)), np.uint8)
         light = self.light * (1.0 + o.swing * math.sin(2 * math.pi * t_s / o.swing_s))
-        rows, columns = image.shape[:2]
+        if light != 1.0:
+            image = np.asarray(cv2.convertScaleAbs(image, alpha=light), np.uint8)
         if o.noise > 0:
+            rows, columns = image.shape[:2]
             random = np.random.default_rng([self._seed, 5, index])  # by index: any picture can be drawn again
             y, x = random.integers(0, (NOISE_SIZE[0] - rows, NOISE_SIZE[1] - columns)).tolist()
-            image = np.asarray(
-                cv2.addWeighted(image, light, self._noise[y : y + rows, x : x + columns], 1, -128), np.uint8
-            )
-        elif light != 1.0:
-            image = np.asarray(cv2.convertScaleAbs(image, alpha=light), np.uint8)
+            piece = slice(y, y + rows), slice(x, x + columns)
+            lighter = cv2.add(image, self._more[piece])
+            image = np.asarray(cv2.subtract(lighter, self._less[piece], lighter), np.uint8)
         if o.jpeg_quality is not None:
             code = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, o.jpeg_quality])[1]
             image = np.asarray(cv2.imdecode(code, cv2.IMREAD_COLOR), np.uint8)

@@ -94,24 +94,28 @@ class Scene:
         """A trunk and a crown that always faces the camera, for each tree that may be in the picture."""
         if not len(self.crowns):
             return []
-        c, feet = self.camera, self.crowns * (1, 1, 0)
-        (pixels, depth), (below, foot_depth) = view.project(self.crowns), view.project(feet)
-        away = np.sqrt(((feet[:, :2] - view.place[:2]) ** 2).sum(axis=1))
-        near = np.maximum(depth, NEAR_M)
-        radius, height = self.radii * c.fx / near, self.heights * c.fx / near
+        c = self.camera
+        pixels, depth = view.project(self.crowns)
+        away = np.hypot(self.crowns[:, 0] - view.place[0], self.crowns[:, 1] - view.place[1])
+        scale = c.fx / np.maximum(depth, NEAR_M)  # pixels a metre
+        radius, height = self.radii * scale, self.heights * scale
         x, y = pixels[:, 0], pixels[:, 1]
         shown = (away < FAR_M) & (depth > NEAR_M + self.radii) & (y > -radius) & (y < c.height + 2 * height)
-        shown &= (x > -2 * height) & (x < c.width + 2 * height)
-        thick = 0.07 * self.radii * c.fx
-        trunks = fixed(capsules(below, pixels, thick / np.maximum(foot_depth, NEAR_M), thick / near))
+        shown = np.flatnonzero(shown & (x > -2 * height) & (x < c.width + 2 * height))
+        if not len(shown):
+            return []
+        pixels, radius = pixels[shown], radius[shown]
+        below, foot_depth = view.project(self.crowns[shown] * (1, 1, 0))
+        thick = 0.07 * self.radii[shown]
+        trunks = fixed(capsules(below, pixels, thick * c.fx / np.maximum(foot_depth, NEAR_M), thick * scale[shown]))
+        rows = zip(shown.tolist(), away[shown].tolist(), pixels.tolist(), radius.tolist(), strict=True)
+        feet = zip(trunks, below[:, 1].tolist(), (foot_depth > NEAR_M).tolist(), strict=True)
         out: list[Drawn] = []
-        for k in np.flatnonzero(shown).tolist():
-            r, (mx, my), foot_y = float(radius[k]), pixels[k].tolist(), float(below[k, 1])
-            stands = foot_depth[k] > NEAR_M
+        for (k, distance, (mx, my), r), (trunk, foot_y, stands) in zip(rows, feet, strict=True):
             low_y, high_y = (min(my - r, foot_y), max(my + r, foot_y)) if stands else (my - r, my + r)
-            polygons = [(trunks[k], TRUNK)] if stands else []
+            polygons = [(trunk, TRUNK)] if stands else []
             sprite = self.sprites[self.world.trees[k].sprite % len(self.sprites)]
-            out.append(Drawn(float(away[k]), polygons, (mx - r, low_y), (mx + r, high_y), sprite, (mx, my, r)))
+            out.append(Drawn(distance, polygons, (mx - r, low_y), (mx + r, high_y), sprite, (mx, my, r)))
         return out
 
     def _beside(self, pixel: Array, reach: float) -> bool:
@@ -151,9 +155,11 @@ class Scene:
 
     def _warp(self, image: Image, to_ground: Array, start: int, end: int, level: int) -> None:
         g = self.ground
-        matrix = texels(CELL_M * 2**level, g.north_m, g.east_m) @ to_ground @ below(start)
+        texture, cell_m = g.levels[level], CELL_M * 2**level
+        before_m = (len(texture) * cell_m - g.size_m) / 2  # by how much it begins earlier than the finest
+        matrix = texels(cell_m, g.north_m - before_m, g.east_m - before_m) @ to_ground @ below(start)
         size, flags = (self.camera.width, end - start), cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        cv2.warpPerspective(g.levels[level], matrix, size, image[start:end], flags, cv2.BORDER_WRAP)
+        cv2.warpPerspective(texture, matrix, size, image[start:end], flags, cv2.BORDER_WRAP)
 
     def _grain(self, image: Image, view: View, to_ground: Array, start: int, end: int, strength: Array) -> None:
         """Structure finer than the texture's texels, close by.  The tile repeats, so it is moved under the camera."""
@@ -194,11 +200,10 @@ class Scene:
         x1, y1 = np.minimum(corners.max(axis=0) + 3, (self.camera.width, self.camera.height)).tolist()
         if x0 >= x1 or y0 >= y1:
             return
-        light = np.full((y1 - y0, x1 - x0), 255, np.uint8)
+        whole = np.full(image.shape[:2], 255, np.uint8)
         for polygon in polygons:
-            moved = polygon - (np.array([x0, y0], np.int32) << FRACTION)
-            cv2.fillConvexPoly(light, moved, (round(255 * SHADE),), cv2.LINE_AA, FRACTION)
-        light = cv2.blur(light, (3, 3))
+            cv2.fillConvexPoly(whole, polygon, (round(255 * SHADE),), cv2.LINE_AA, FRACTION)
+        light = cv2.blur(whole[y0:y1, x0:x1], (3, 3))
         region = image[y0:y1, x0:x1]
         cv2.multiply(region, cv2.merge([light] * 4), region, 1 / 255)
 

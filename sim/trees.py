@@ -16,10 +16,9 @@ REACH = 0.46  # a crown's radius as a share of its copy's side
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sprite:
-    """Copies of a crown: colour times cover, and 255 - cover; each in four equally deep channels as pictures have."""
+    """Copies of a crown: colour times cover in BGR, and 255 - cover in the channel that pictures leave unused."""
 
-    colour: tuple[Image, ...]
-    rest: tuple[Image, ...]
+    copies: tuple[Image, ...]
 
     def blend(self, image: Image, x: float, y: float, radius: float) -> None:
         """Draw the crown about (x, y) with that radius, in pixels."""
@@ -28,11 +27,11 @@ class Sprite:
             return
         level, matrix, (x0, y0, x1, y1) = placed
         size, flags = (x1 - x0, y1 - y0), cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        colour = cv2.warpAffine(self.colour[level], matrix, size, None, flags, cv2.BORDER_CONSTANT, (0, 0, 0, 0))
-        rest = cv2.warpAffine(self.rest[level], matrix, size, None, flags, cv2.BORDER_CONSTANT, (255, 255, 255, 255))
+        crown = cv2.warpAffine(self.copies[level], matrix, size, None, flags, cv2.BORDER_CONSTANT, (0, 0, 0, 255))
+        rest = cv2.cvtColor(cv2.extractChannel(crown, 3), cv2.COLOR_GRAY2BGRA)
         region = image[y0:y1, x0:x1]
         cv2.multiply(region, rest, region, 1 / 255)
-        cv2.add(region, colour, region)
+        cv2.add(region, crown, region)
 
     def cover(self, mask: Image, x: float, y: float, radius: float, value: int) -> None:
         """Set a mask where the crown hides more than half of what is behind it."""
@@ -41,7 +40,7 @@ class Sprite:
             return
         level, matrix, (x0, y0, x1, y1) = placed
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        rest = cv2.extractChannel(self.rest[level], 0)
+        rest = cv2.extractChannel(self.copies[level], 3)
         shown = cv2.warpAffine(rest, matrix, (x1 - x0, y1 - y0), None, flags, cv2.BORDER_CONSTANT, (255,))
         mask[y0:y1, x0:x1][shown < 128] = value
 
@@ -86,7 +85,7 @@ def crown(random: np.random.Generator) -> Sprite:
     image = np.clip(image + cv2.GaussianBlur(grain, (0, 0), 0.8)[..., None], 0, 255).astype(np.uint8)
     cover3 = cv2.merge([cover] * 3)
     colour = cv2.multiply(image, cover3, scale=1 / 255)
-    return Sprite(copies(cv2.cvtColor(colour, cv2.COLOR_BGR2BGRA)), copies(cv2.merge([cv2.bitwise_not(cover)] * 4)))
+    return Sprite(copies(cv2.merge([*cv2.split(colour), cv2.bitwise_not(cover)])))
 
 
 def copies(image: cv2.typing.MatLike) -> tuple[Image, ...]:

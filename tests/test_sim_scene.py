@@ -59,7 +59,11 @@ def test_the_ground_lies_where_geometry_projects_it(pose):
     levels = tuple(np.full_like(level, 60) for level in ground.levels)
     for k, level in enumerate(levels):
         cell = 0.125 * 2**k
-        place = round((east - ground.east_m) / cell - 0.5), round((north - ground.north_m) / cell - 0.5)
+        before = (len(level) * cell - ground.size_m) / 2
+        place = (
+            round((east - ground.east_m + before) / cell - 0.5),
+            round((north - ground.north_m + before) / cell - 0.5),
+        )
         cv2.circle(level, place, max(1, round(0.5 / cell)), (255, 255, 255, 0), -1)
     scene.ground = type(ground)(levels, np.full_like(ground.detail, 128), ground.north_m, ground.east_m)
     image = scene._ground(v)
