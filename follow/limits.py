@@ -36,7 +36,7 @@ class Limits:
     coast_after_s: float = 0.25  # unseen for so long is lost
     search_after_s: float = 4.0  # and so long: hover and search; from half of it on slower and slower
     give_up_after_s: float = 20.0  # a walker may by then be 28 m from where it was predicted
-    brake_s: float = 1.0  # stale data may come back for so long before the stream stops
+    brake_s: float = 1.0  # stale data may come back for so long before the stream stops, or an order is given up
     order_s: float = 30.0  # an order to follow that could not be obeyed for so long is void
     engage_s: float = 5.0  # the autopilot has so long to obey; PX4 may take 1 s of stream and 1 s to say so
 

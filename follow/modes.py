@@ -26,6 +26,7 @@ class Event(str, Enum):
     CONTROL_LOST = "pilot or autopilot took over"
     CHECKS_GREEN = "checks green"
     CHECKS_RED = "checks red"
+    STAYED_RED = "checks stayed red, or landed"
     STALE = "data stale"
     FRESH = "data fresh again"
     SEEN = "target seen"
@@ -44,7 +45,7 @@ TABLE: dict[tuple[Mode, Event], Mode] = {
     (Mode.READY, Event.CHECKS_RED): Mode.OBSERVE,
     (Mode.READY, Event.ORDER_FOLLOW): Mode.ENGAGE,
     (Mode.ENGAGE, Event.CONTROL_GAINED): Mode.FOLLOW,
-    (Mode.ENGAGE, Event.CHECKS_RED): Mode.ENDED,
+    (Mode.ENGAGE, Event.STAYED_RED): Mode.ENDED,
     (Mode.ENGAGE, Event.TIMEOUT): Mode.ENDED,
     (Mode.FOLLOW, Event.UNSEEN): Mode.COAST,
     (Mode.COAST, Event.SEEN): Mode.FOLLOW,

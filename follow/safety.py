@@ -18,7 +18,8 @@ from follow.modes import FLYING, STREAMING, Event, Mode, after
 class Gate:
     """What the gate remembers from round to round.  Velocities are NED, `start` is where FOLLOW began.
 
-    `ordered` is an order not yet carried out, `ordered_t_s` the first round that knew of it.
+    `ordered` is an order not yet carried out, `ordered_t_s` the first round that knew of it, `green_t_s` the last round
+    with every check green.
     """
 
     mode: Mode = Mode.OBSERVE
@@ -31,6 +32,7 @@ class Gate:
     start_east_m: float = 0.0
     ordered: Order | None = None
     ordered_t_s: float | None = None
+    green_t_s: float = NEVER
 
 
 STEP_S = 0.1
@@ -72,7 +74,8 @@ def unseen(estimate: Estimate, t_s: float, limits: Limits) -> float:
 def events(gate: Gate, unseen_s: float, state: VehicleState, old: tuple[str, ...], limits: Limits) -> list[Event]:
     """What this round finds, the gravest first."""
     seen = unseen_s <= limits.coast_after_s
-    green = seen and not old and state.armed and not state.landed
+    in_air = state.armed and not state.landed
+    green = seen and not old and in_air
     found = [Event.ORDER_OBSERVE] if gate.ordered is Order.OBSERVE else []
     if gate.mode in FLYING and not (state.in_control and state.armed):
         found.append(Event.CONTROL_LOST)
@@ -80,7 +83,10 @@ def events(gate: Gate, unseen_s: float, state: VehicleState, old: tuple[str, ...
     found.append(Event.CHECKS_GREEN if green else Event.CHECKS_RED)
     if gate.ordered is Order.FOLLOW and (green or gate.mode in (Mode.ENDED, Mode.HOLD)):
         found.append(Event.ORDER_FOLLOW)
-    if state.in_control:
+    # One late picture or packet is no reason to give an order up: as in flight, it may come back within `brake_s`.
+    if not (green or (in_air and 0.0 <= state.t_s - gate.green_t_s <= limits.brake_s)):
+        found.append(Event.STAYED_RED)
+    if state.in_control and green:
         found.append(Event.CONTROL_GAINED)
     if gate.mode is Mode.ENGAGE and state.t_s - gate.since_s > limits.engage_s:
         found.append(Event.TIMEOUT)
@@ -137,7 +143,8 @@ def decide(
     old = stale(state, frame_t_s, limits)
     unseen_s = unseen(estimate, state.t_s, limits)
     mode = gate.mode
-    for event in events(gate, unseen_s, state, old, limits):
+    found = events(gate, unseen_s, state, old, limits)
+    for event in found:
         mode = after(mode, event)
     t_s = state.t_s if math.isfinite(state.t_s) else gate.t_s
     since_s = gate.since_s if mode is gate.mode else t_s
@@ -145,14 +152,16 @@ def decide(
     notes = old if wish.is_finite() else (*old, "the wish is not finite")
     if mode in STREAMING and not math.isfinite(state.yaw_rad):
         mode = Mode.ENDED  # without a heading no direction can be sent, not even zero turned into the body's axes
-    if mode in STREAMING and (gate.mode not in STREAMING or mode is Mode.ENGAGE):
+    fresh = not old and math.isfinite(unseen_s)
+    if mode in STREAMING and (gate.mode not in STREAMING or (mode is Mode.ENGAGE and fresh)):
         gate, dt = begun(gate, state, limits), 0.0
-    gate = remembered(replace(gate, mode=mode, t_s=t_s, since_s=since_s), limits)
+    green_t_s = t_s if Event.CHECKS_GREEN in found else gate.green_t_s
+    gate = remembered(replace(gate, mode=mode, t_s=t_s, since_s=since_s, green_t_s=green_t_s), limits)
     if mode not in STREAMING:
         return gate, Decision(None, mode.value, notes)
     want = goal(mode, wish, unseen_s, limits)
     velocity, held = (0.0, 0.0, 0.0), ()
-    if not old and math.isfinite(unseen_s):
+    if fresh:
         speed_m_s = limits.speed_m_s if mode is Mode.FOLLOW else min(limits.coast_m_s, limits.speed_m_s)
         start = gate.start_north_m, gate.start_east_m
         velocity, held = bounded(want, speed_m_s, estimate, state, start, limits)

@@ -138,6 +138,49 @@ def test_an_autopilot_that_does_not_obey_is_left_in_peace():
     assert decisions[-1].setpoint is None
 
 
+STALLS = ({"frame_t_s": 0.5}, {"attitude_t_s": 0.5}, {"position_t_s": 0.1}, {"seen_t_s": 0.5})
+
+
+def engaging():
+    """A gate that has been streaming for half a second to an autopilot that does not obey yet, flying at 2 m/s."""
+    safety = Safety(LIMITS)
+    safety.order(Order.FOLLOW)
+    assert fly(safety, 0.0, 0.5, HOVER, in_control=False, north_m_s=2.0)[-1].mode == "engage"
+    return safety
+
+
+@pytest.mark.parametrize("stall", STALLS)
+def test_a_short_stall_while_engaging_costs_neither_the_order_nor_the_stream(stall):
+    safety = engaging()
+    stalled = fly(safety, 0.5, 0.8, HOVER, in_control=False, north_m_s=2.0, **stall)
+    assert {d.mode for d in stalled} == {"engage"}
+    assert all(d.setpoint is not None and d.setpoint.forward_m_s <= 2.0 for d in stalled)
+    assert fly(safety, 1.3, 0.1, HOVER, in_control=False)[-1].mode == "engage"
+    assert fly(safety, 1.4, 0.1, HOVER)[-1].mode == "follow"
+
+
+@pytest.mark.parametrize("stall", STALLS)
+def test_a_longer_stall_while_engaging_ends_it(stall):
+    stalled = fly(engaging(), 0.5, LIMITS.brake_s + 0.5, HOVER, in_control=False, **stall)
+    assert (stalled[-1].mode, stalled[-1].setpoint) == ("ended", None)
+
+
+def test_a_stall_while_engaging_ramps_to_zero_and_control_gained_in_it_waits_for_fresh_data():
+    safety = engaging()
+    fly(safety, 0.5, 0.3, HOVER, in_control=False, north_m_s=2.0, frame_t_s=0.5)
+    late = fly(safety, 0.8, 0.6, Setpoint(3.0, yaw_rate_rad_s=1.0), north_m_s=2.0, frame_t_s=0.5)
+    assert {d.mode for d in late} == {"engage"}
+    assert late[-1].setpoint.forward_m_s < 1.0
+    assert late[-1].setpoint.yaw_rate_rad_s == 0.0
+    assert fly(safety, 1.4, 0.1, HOVER)[-1].mode == "follow"
+
+
+@pytest.mark.parametrize("gone", [{"armed": False}, {"landed": True}])
+def test_a_vehicle_that_is_not_in_the_air_ends_engaging_at_once(gone):
+    (decision,) = fly(engaging(), 0.5, DT, HOVER, in_control=False, **gone)
+    assert (decision.mode, decision.setpoint) == ("ended", None)
+
+
 def test_a_takeover_ends_the_stream_at_once_and_for_good():
     safety, t_s = engaged()
     taken = fly(safety, t_s, DT, Setpoint(2.0), in_control=False)
