@@ -81,9 +81,11 @@ def check_parameters(client: MavlinkClient, autopilot: Autopilot, listen: Callab
     known = client.heard.parameters
     known.clear()
     for _ in range(ASK_TIMES):
-        for parameter in wanted:
-            if parameter.name not in known:
-                client.request_parameter(parameter.name)
+        missing = [parameter.name for parameter in wanted if parameter.name not in known]
+        if not missing:
+            break
+        for name in missing:
+            client.request_parameter(name)
         listen(ANSWER_S)
     return [judge(parameter, known.get(parameter.name)) for parameter in wanted]
 
