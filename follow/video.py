@@ -30,6 +30,8 @@ LONGEST_GAP_S = 10.0  # a longer hole in numbers or time stamps is a cut, not lo
 DECODE_ATTEMPTS = 64  # failed reads in a row after which a file is taken to have ended: two seconds at 30 pictures/s
 ROUND_S = 1 / 20  # live: a round at least this often; PX4 drops OFFBOARD below 2 Hz, 20 Hz is MAVLink's usual rate
 REOPEN_AFTER_S = 1.0  # live: pause before a broken stream is tried again
+OPEN_S = 10.0  # live: a stream that does not begin within this is not there; OpenCV's own patience is 30 s ...
+SILENT_S = 2.0  # ... and so it is for a sender that died; the gate has stopped by then (0.2 s and 1 s)
 
 Report = Callable[[str], None]
 """Takes one line for a person; nothing is raised, the flight goes on."""
@@ -242,8 +244,11 @@ class LiveVideo(_Closing):
             yield frame
 
     def _open(self) -> cv2.VideoCapture:
-        source = int(self._source) if self._source.isdigit() else self._source
-        video = cv2.VideoCapture(source)
+        if "://" in self._source:  # buffering is FFmpeg's; the patience is what can be set
+            patience = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, int(1e3 * OPEN_S)]
+            patience += [cv2.CAP_PROP_READ_TIMEOUT_MSEC, int(1e3 * SILENT_S)]
+            return cv2.VideoCapture(self._source, cv2.CAP_FFMPEG, patience)
+        video = cv2.VideoCapture(int(self._source) if self._source.isdigit() else self._source)
         video.set(cv2.CAP_PROP_BUFFERSIZE, 1)  # where the driver obeys: no queue of old pictures
         return video
 

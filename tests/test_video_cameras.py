@@ -1,14 +1,21 @@
 """Cameras that read files: nothing that is missing or broken loses what is there, and each trouble is one line."""
 
+import contextlib
+import itertools
+import threading
+import time
+from collections.abc import Callable
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
+from follow import video
 from follow.camera import CameraError
 from follow.messages import Frame
-from follow.video import is_live, open_replay
+from follow.video import LiveVideo, is_live, open_replay
 
 
 def picture(n: int, size=(48, 32)) -> np.ndarray:
@@ -132,3 +139,110 @@ def test_a_rate_that_is_no_rate_is_refused(tmp_path, fps):
 def test_devices_and_streams_are_live_and_files_are_not():
     assert all(map(is_live, ("0", "/dev/video2", "rtsp://drone/1", "udp://:5600")))
     assert not any(map(is_live, ("clip.mp4", "pictures", "./0")))
+
+
+class Clip(BaseHTTPRequestHandler):
+    """One video for every request; with `stalls`, its first half and then silence until the server ends."""
+
+    def do_GET(self):
+        server = self.server
+        assert isinstance(server, ClipServer)
+        self.send_response(200)
+        self.end_headers()
+        data = server.data[: len(server.data) // 2] if server.stalls else server.data
+        with contextlib.suppress(ConnectionError):
+            self.wfile.write(data)
+            if server.stalls:
+                server.ending.wait(60.0)
+
+    def log_message(self, *_args): ...
+
+
+class ClipServer(ThreadingHTTPServer):
+    def __init__(self, data: bytes, *, stalls: bool = False):
+        super().__init__(("127.0.0.1", 0), Clip)
+        self.data, self.stalls, self.ending = data, stalls, threading.Event()
+        self.uri = f"http://127.0.0.1:{self.server_port}/clip.avi"
+        threading.Thread(target=self.serve_forever, kwargs={"poll_interval": 0.05}, daemon=True).start()
+
+    def end(self):
+        self.ending.set()
+        self.shutdown()
+        self.server_close()
+
+
+@pytest.fixture
+def stream(tmp_path):
+    """Builds servers of forty pictures, which are ended afterwards."""
+    path = tmp_path / "clip.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 30, (160, 120))
+    for n in range(40):
+        writer.write(np.full((120, 160, 3), 5 * n, np.uint8))
+    writer.release()
+    with contextlib.ExitStack() as stack:
+
+        def build(**how) -> ClipServer:
+            server = ClipServer(path.read_bytes(), **how)
+            stack.callback(server.end)
+            return server
+
+        yield build
+
+
+def watched(camera: LiveVideo, enough: Callable[[], bool], seconds: float = 20.0) -> list[Frame | None]:
+    """The rounds of a live camera until it was enough."""
+    rounds: list[Frame | None] = []
+    end = time.monotonic() + seconds
+    for frame in camera.frames():
+        rounds.append(frame)
+        if enough():
+            return rounds
+        assert time.monotonic() < end, "not within the time"
+    return rounds
+
+
+@pytest.mark.realtime
+def test_a_stream_that_ends_is_reported_once_and_opened_again(stream):
+    lines: list[str] = []
+    uri = stream().uri
+    with LiveVideo(uri, lines.append) as camera:
+        assert camera.size == (160, 120)
+        rounds = watched(camera, lambda: len(lines) == 2)
+        frames = [frame for frame in rounds if frame is not None]
+        assert lines == [
+            f"camera {uri!r} gives no picture: trying again every 1 s",
+            f"camera {uri!r} gives pictures again",
+        ]
+        assert [f.index for f in frames] == sorted({f.index for f in frames})
+        assert all(b.t_s > a.t_s for a, b in itertools.pairwise(frames))
+        assert None in rounds, "the loop goes on while there is no picture"
+
+
+@pytest.mark.realtime
+def test_only_the_newest_picture_of_a_stream_is_kept(stream):
+    with LiveVideo(stream().uri, lambda _line: None) as camera:
+        time.sleep(0.7)  # all forty have come: a file is sent as fast as it is read
+        newest = next(frame for frame in camera.frames() if frame is not None)
+        assert newest.index == 39
+        assert newest.image[60, 80, 0] == pytest.approx(195, abs=4)
+
+
+@pytest.mark.realtime
+def test_a_sender_that_falls_silent_is_reported_within_the_patience(stream, monkeypatch):
+    monkeypatch.setattr(video, "SILENT_S", 0.5)
+    lines: list[str] = []
+    with LiveVideo(stream(stalls=True).uri, lines.append) as camera:
+        began = time.monotonic()
+        rounds = watched(camera, lambda: bool(lines))
+        assert time.monotonic() - began < 3.0
+        assert sum(frame is not None for frame in rounds) >= 1
+        longest = max(len(list(run)) for there, run in itertools.groupby(rounds, key=lambda f: f is None) if there)
+        assert longest >= 5, "a round every 50 ms, picture or not: the gate sees the picture grow old"
+
+
+def test_a_stream_that_nobody_sends_is_refused_in_one_sentence(stream):
+    server = stream()
+    server.end()
+    with pytest.raises(CameraError) as refusal:
+        LiveVideo(server.uri, print)
+    assert str(refusal.value) == f"camera {server.uri!r} cannot be opened"
