@@ -20,7 +20,7 @@ class Params:
     search_area: float = 5.0  # side of the square sample over sqrt(target area)
     sample_min_px: int = 150  # the sample is resampled into this range of sides ...
     sample_max_px: int = 200
-    label_sigma: float = 1 / 16  # of the Gaussian label, over sqrt(target area) in cells
+    label_sigma: float = 1 / 24  # of the Gaussian label, over sqrt(target area) in cells: not given [measured]
     learning_rate: float = 0.0192  # alpha, Eq. 14
     colour_names: bool = True  # on colour pictures; grey ones have none
 
@@ -77,13 +77,14 @@ class Params:
     redetect: bool = True  # look further afield for a lost target
     redetect_glance: float = 0.35  # a candidate off the middle, which the window dims, gets a closer look from here on
     redetect_places: int = 4  # more places a frame, half a search region apart ...
-    redetect_reach: int = 3  # ... up to this many steps to each side
+    redetect_reach: int = 3  # ... up to this many steps to each side ...
+    redetect_patience: int = 10  # ... and a step further with every so many frames lost
 
     def __post_init__(self) -> None:
         at_least = {
             "cell_px": 1, "admm_iterations": 1, "newton_iterations": 0, "scales": 3, "refine_size_px": 8,
-            "refine_iterations": 1, "redetect_places": 0, "redetect_reach": 1, "search_area": 1.0,
-            "sample_min_px": 4 * self.cell_px, "sample_max_px": self.sample_min_px,
+            "refine_iterations": 1, "redetect_places": 0, "redetect_reach": 1, "redetect_patience": 1,
+            "search_area": 1.0, "sample_min_px": 4 * self.cell_px, "sample_max_px": self.sample_min_px,
             "scale_model_area_px": 4 * self.cell_px**2,
         }  # fmt: skip
         for name, least in at_least.items():
@@ -129,9 +130,11 @@ PRESETS = {
     "racf": replace(_RACF_MINUS, refine=True),
     "racf-": _RACF_MINUS,
     "racf--": _RACF_MINUS_MINUS,
-    # Ridge and rate of the baselines are those of their authors' published parameter files.
-    "bacf": replace(_RACF_MINUS_MINUS, residue=0.0, ridge=0.01, learning_rate=0.013),
-    "arcf-hc": replace(_RACF_MINUS_MINUS, residue=0.0, ridge=0.01, aberrance=0.71, admm_iterations=5),
+    # Label, ridge and rate of the baselines are those of their authors' published parameter files.
+    "bacf": replace(_RACF_MINUS_MINUS, residue=0.0, label_sigma=1 / 16, ridge=0.01, learning_rate=0.013),
+    "arcf-hc": replace(
+        _RACF_MINUS_MINUS, residue=0.0, label_sigma=1 / 16, ridge=0.01, aberrance=0.71, admm_iterations=5
+    ),
 }
 """The paper's three variants (Table 1) and its two baselines."""
 

@@ -14,7 +14,7 @@ UInt8 = NDArray[np.uint8]
 
 
 class Redetection:
-    """Places around the expected one, nearest first; each lost frame looks at the next few of them."""
+    """Places around the expected one, farther off the longer it is lost; each frame looks at the next few of them."""
 
     def __init__(self, params: Params) -> None:
         self.params = params
@@ -33,9 +33,12 @@ class Redetection:
         step = translation.region(expected).w / 2
         if (again := self.closer(image, here, translation, confidence)) is not None:
             return again, Verdict.CLEAR
-        for _ in range(self.params.redetect_places):
-            i, j = self._places[self._next]
-            self._next = (self._next + 1) % len(self._places)
+        # A target just lost is near, most likely behind something: what is found far off so early is another.
+        reach = confidence.lost_frames / self.params.redetect_patience
+        reached = [step for step in self._places if math.hypot(*step) <= reach]
+        for _ in range(min(self.params.redetect_places, len(reached))):
+            i, j = reached[self._next % len(reached)]
+            self._next += 1
             place = expected.moved(i * step, j * step)
             if not (0 <= place.centre_x < cols and 0 <= place.centre_y < rows):
                 continue

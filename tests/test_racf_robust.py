@@ -77,6 +77,13 @@ def test_a_target_that_reappears_elsewhere_is_found_again():
     assert track.box.iou(box(200, 60)) > 0.7
 
 
+def test_a_target_just_lost_is_not_taken_to_be_far_away_at_once():
+    tracker = settled()
+    far = [tracker.update(picture(200, 60)).found for _ in range(40)]
+    assert not any(far[: ROBUST.redetect_patience - 1])
+    assert far[-1]
+
+
 def test_an_empty_scene_is_never_taken_for_the_target():
     tracker = settled()
     assert not any(tracker.update(GROUND).found for _ in range(40))

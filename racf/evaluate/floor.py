@@ -14,6 +14,7 @@ import numpy as np
 
 from racf.box import Box
 from racf.params import Params
+from racf.scale import ScaleFilter
 
 CHANNELS = 31 + 10 + 1  # FHOG, colour names, grey
 HOG_CHANNELS = 31
@@ -76,7 +77,8 @@ def work_of_stages(params: Params, target: Box) -> dict[str, Work]:
 
 def _scale_sample(params: Params, target: Box) -> Work:
     """Features of the target in every size, transformed along the sizes."""
-    pixels = min(params.scale_model_area_px, target.area) * params.scales
+    scale = ScaleFilter(params, target.w, target.h)
+    pixels = scale.model_w * scale.model_h * params.scales
     features = pixels / params.cell_px**2 * HOG_CHANNELS
     return Work(
         pixels * (RESAMPLE_FLOPS + HOG_FLOPS) + 5 * features * math.log2(params.scales),
