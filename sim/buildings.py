@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from sim.body import AMBIENT, Draft, Mesh, facing, shade
+from sim.body import AMBIENT, Draft, facing, shade
 from sim.ground import block_corners
 from sim.world import Array, Block, Colour, Sun
 
 
-def built(block: Block, sun: Sun) -> Mesh:
+def built(block: Block, sun: Sun) -> list[Draft]:
     """The faces of a building or of a piece of wall."""
     corners = block_corners(block)
     low = np.column_stack([corners, np.full(4, -block.above_m)])
@@ -20,7 +20,7 @@ def built(block: Block, sun: Sun) -> Mesh:
         parts.append(lit(quad, block.colour, light))
         if block.windows:
             parts += windows(quad, block)
-    return Mesh.of(parts + (gable(high, block, light) if block.windows else [lit(high[::-1], block.roof, light)]))
+    return parts + (gable(high, block, light) if block.windows else [lit(high[::-1], block.roof, light)])
 
 
 def lit(corners: Array, colour: Colour, light: tuple[float, float, float]) -> Draft:

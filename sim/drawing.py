@@ -74,6 +74,11 @@ def outlines(view: View, mesh: Mesh, points: Array | None = None) -> list[Polygo
 
     `points` are the mesh's points where they are to be drawn elsewhere (as a shadow).
     """
+    return outlined_parts(view, mesh, points)[1]
+
+
+def outlined_parts(view: View, mesh: Mesh, points: Array | None = None) -> tuple[NDArray[np.int64], list[Polygon]]:
+    """Which parts of a mesh are not left out, and the `outlines` of these."""
     pixels, depth = view.project(mesh.points if points is None else points)
     flat = fixed(pixels)
     first = mesh.starts[:-1]
@@ -88,10 +93,9 @@ def outlines(view: View, mesh: Mesh, points: Array | None = None) -> list[Polygo
         radii, near = mesh.radii * view.camera.fx, np.maximum(depth, NEAR_M)
         shapes = capsules(pixels[start], pixels[start + 1], radii[:, 0] / near[start], radii[:, 1] / near[start + 1])
         rounds = dict(zip(mesh.limbs.tolist(), fixed(shapes), strict=True))
-    edges = mesh.starts.tolist()
-    return [
-        (rounds[k] if k in rounds else flat[edges[k] : edges[k + 1]], mesh.colours[k])
-        for k in np.flatnonzero(shown).tolist()
+    edges, parts = mesh.starts.tolist(), np.flatnonzero(shown)
+    return parts, [
+        (rounds[k] if k in rounds else flat[edges[k] : edges[k + 1]], mesh.colours[k]) for k in parts.tolist()
     ]
 
 

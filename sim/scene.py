@@ -22,6 +22,7 @@ from sim.drawing import (
     fill_mask,
     fixed,
     outlined,
+    outlined_parts,
     outlines,
     overlap,
 )
@@ -50,7 +51,9 @@ class Scene:
         self.world, self.camera = world, camera
         self.ground: Ground = ground(world)
         self.sprites = sprites(world.seed)
-        self.built = [built(block, world.sun) for block in world.blocks]
+        drafts = [built(block, world.sun) for block in world.blocks]
+        self.built = Mesh.of([part for parts in drafts for part in parts])  # one mesh: what stands is projected at once
+        self.first_parts = np.cumsum([0, *map(len, drafts)])  # block k has the parts first_parts[k]:first_parts[k + 1]
         self.middles = np.array([(b.north_m, b.east_m, -b.above_m - b.height_m / 2) for b in world.blocks]).reshape(
             -1, 3
         )
@@ -78,7 +81,11 @@ class Scene:
 
     def _blocks(self, view: View) -> list[Drawn]:
         """Buildings and walls that may be in the picture."""
+        if not self.world.blocks:
+            return []
         out: list[Drawn] = []
+        parts, polygons = outlined_parts(view, self.built)
+        cuts = np.searchsorted(parts, self.first_parts).tolist()
         pixels, depth = view.project(self.middles)
         away = np.hypot(self.middles[:, 0] - view.place[0], self.middles[:, 1] - view.place[1]).tolist()
         for k, block in enumerate(self.world.blocks):
@@ -86,7 +93,7 @@ class Scene:
             if away[k] > FAR_M or depth[k] < -reach or (depth[k] > reach and self._beside(pixels[k], reach / depth[k])):
                 continue
             near = away[k] - (0.5 * min(block.length_m, block.width_m) if block.windows else 0.0)
-            if drawn := outlined(near, outlines(view, self.built[k])):
+            if drawn := outlined(near, polygons[cuts[k] : cuts[k + 1]]):
                 out.append(drawn)
         return out
 
