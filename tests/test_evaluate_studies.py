@@ -49,6 +49,17 @@ def test_table_3_has_a_row_a_tracker_and_marks_its_best_iteration(sequences):
     assert aucs == sorted(aucs, reverse=True)
 
 
+def test_jittered_starts_count_in_table_3_as_the_nominal_one_does(sequences):
+    perfect, gone = (lambda s, shift=shift: Run(s.truth + np.array([shift, 0, 0, 0]), 50.0, {}) for shift in (0, 1000))
+    runs = {label: {s.name: [perfect(s), gone(s)] for s in sequences} for label in studies.trackers_of(3, GRID)}
+    nominal = {label: {name: starts[:1] for name, starts in of.items()} for label, of in runs.items()}
+    both, one = (
+        numbers(studies.lay_out(3, build_report(sequences, r, {}), GRID).rows[0][1:2])[0] for r in (runs, nominal)
+    )
+    first_frame_only = one / len(sequences[0].truth)
+    assert both == pytest.approx((one + first_frame_only) / 2, abs=0.01)
+
+
 def test_table_4_has_a_row_an_iteration_and_a_column_a_weight(sequences):
     labels = studies.trackers_of(4, GRID)
     report = report_of(sequences, {label: float(i) for i, label in enumerate(labels)})

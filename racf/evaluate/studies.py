@@ -76,8 +76,10 @@ def _row(report: Report, label: str) -> Row:
 
 
 def _auc(report: Report, label: str) -> float:
+    """Over all starts, nominal and jittered: one occlusion that a start passes or not moves a mean of few sequences."""
     row = _row(report, label)
-    return mean_score([row.nominal[name].toolkit for name in report.counted]).auc
+    starts = [judged for name in report.counted for judged in (row.nominal[name], *row.jittered.get(name, ()))]
+    return mean_score([judged.toolkit for judged in starts]).auc
 
 
 def _speed_and_precision(report: Report) -> Table:
