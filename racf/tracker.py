@@ -5,6 +5,7 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
+from racf import kernels
 from racf.box import Box
 from racf.confidence import Confidence, Verdict
 from racf.motion import EgoMotion, Velocity
@@ -16,6 +17,8 @@ from racf.track import Track
 from racf.translation import Match, TranslationFilter
 
 UInt8 = NDArray[np.uint8]
+
+kernels.announce()
 
 MIN_SIDE_PX = 2.0  # a smaller box holds no target
 
