@@ -23,6 +23,7 @@ from racf.box import Box
 from racf.evaluate.boxfiles import read_boxes
 from racf.evaluate.pictures import frames_of
 from racf.evaluate.trackers import TrackerSpec
+from racf.threads import one_core
 
 CONFIG = TargetConfig()
 ON, OFF = 0.3, 0.1  # overlaps: surely on the target; surely not
@@ -59,6 +60,7 @@ def sequences(data: Path) -> list[tuple[Path, Path]]:
 
 
 def main() -> None:
+    one_core()
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("data", type=Path)
     parser.add_argument("--frames", type=int, default=300)

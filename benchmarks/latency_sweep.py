@@ -15,6 +15,7 @@ from follow.safety import Limits, Safety
 from follow.servo import Servo, ServoConfig
 from follow.target import Target, TargetConfig
 from racf.evaluate.trackers import TrackerSpec
+from racf.threads import one_core
 from sim.scenarios import SCENARIOS, Scenario, build
 from sim.score import Row, Score, score
 
@@ -38,6 +39,7 @@ def fly(scenario: Scenario, seed: int, autopilot: Autopilot, tracker: str, *, co
 
 
 def main() -> None:
+    one_core()
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--tracker", default="racf-,robust")
     parser.add_argument("--seeds", type=int, default=1)
