@@ -49,6 +49,7 @@ def test_a_clip_without_files_is_rendered():
 def test_a_fresh_process_says_how_long_its_first_update_took_and_what_it_holds():
     figures = speed.first_call(TrackerSpec.parse("racf,robust"), {})
     assert figures["import_s"] > 0
+    assert figures["init_s"] > 0
     assert figures["first_update_s"] > 0
     assert 0 < figures["memory_mb"] < 500
 
