@@ -25,7 +25,7 @@ check: setup
 
 test: setup
 	$(BIN)/python -m pytest -n 2 -m "not realtime"
-	$(BIN)/python -m pytest -m realtime
+	$(BIN)/python -m pytest -m realtime -rs
 
 # A second environment: CSRT and KCF come with OpenCV's contrib wheel, which cannot live beside the plain one.
 $(BENCH)/.installed: pyproject.toml requirements.lock
