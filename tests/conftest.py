@@ -16,7 +16,7 @@ settings.load_profile("laws")
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item: pytest.Item) -> Generator[None, object, object]:
-    """A real-time test that fails while the host takes this machine's time away is skipped: it has measured the host."""
+    """A real-time test that fails while the host takes the machine away is skipped: it has measured the host."""
     before = processor_ticks()
     try:
         return (yield)
