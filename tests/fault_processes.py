@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from machine import against_the_clock
 from real_flight import CONTROL, HOLD, Real, real_flight
 
 FLY_S = 4.0  # in FOLLOW before the fault
@@ -75,6 +76,8 @@ def following(rules: str, out: Path, **options) -> Iterator[Real]:
     with real_flight(rules, out, **options) as real:
         real.order()
         time.sleep(FLY_S)
+        with against_the_clock():
+            assert real.pilot.flown_mode() == CONTROL[rules], "it fell out of FOLLOW before the fault"
         yield real
 
 

@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from machine import LateError
 from pymavlink.dialects.v20 import common as dialect
 
 CONTROL = {"px4": "OFFBOARD", "ardupilot": "GUIDED"}
@@ -46,7 +47,8 @@ def until(what: str, done: Callable[[], bool], seconds: float = 10.0) -> None:
     """Wait for something that happens in another process."""
     end = time.monotonic() + seconds
     while not done():
-        assert time.monotonic() < end, f"not {what} within {seconds} s"
+        if time.monotonic() > end:
+            raise LateError(f"not {what} within {seconds} s")
         time.sleep(0.02)
 
 

@@ -10,6 +10,7 @@ import time
 from dataclasses import replace
 
 import pytest
+from machine import against_the_clock
 from real_flight import CONTROL, PILOTS_CHOICE, Real, real_flight, until
 
 from sim.scenarios import SCENARIOS, Scenario
@@ -49,7 +50,8 @@ def test_it_follows_the_walker_until_another_client_changes_the_mode_and_then_se
         real.order()
         until("in control", lambda: real.pilot.flown_mode() == CONTROL[rules], 15.0)
         time.sleep(FOLLOW_S)
-        assert real.pilot.flown_mode() == CONTROL[rules]
+        with against_the_clock():
+            assert real.pilot.flown_mode() == CONTROL[rules]
         assert len(real.relay.modes_asked()) == 1, "it asks for the mode once"
         real.pilot.mode(PILOTS_CHOICE[rules])
         taken_t_s = time.monotonic()
@@ -61,7 +63,8 @@ def test_it_follows_the_walker_until_another_client_changes_the_mode_and_then_se
         assert real.pilot.flown_mode() == PILOTS_CHOICE[rules]
         assert real.application.end() == 0
         assert real.application.said("leaving: the vehicle is not ours")
-    check_that_it_followed(flown(real), replace(SCENARIOS["walker"], duration_s=FOLLOW_S + 120))
+    with against_the_clock():
+        check_that_it_followed(flown(real), replace(SCENARIOS["walker"], duration_s=FOLLOW_S + 120))
 
 
 def check_that_it_followed(rows: list[dict[str, str]], scenario: Scenario) -> None:

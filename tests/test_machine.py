@@ -1,7 +1,13 @@
 """The referee of the real-time tests: only time that the host took away excuses a failure."""
 
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
 import pytest
-from machine import parsed, processor_ticks, stolen
+from machine import LateError, against_the_clock, parsed, processor_ticks, stolen
 
 LINE = "cpu  100 0 50 800 10 0 5 {steal} 7 0\ncpu0 1 2 3 4 5 6 7 8 0 0\n"
 
@@ -19,3 +25,44 @@ def test_ticks_only_grow():
     first, second = processor_ticks(), processor_ticks()
     assert all(a <= b for a, b in zip(first, second, strict=True))
     assert 0.0 <= stolen(first, second) <= 1.0
+
+
+@pytest.mark.parametrize("failure", [AssertionError("slow"), subprocess.TimeoutExpired("follow", 2.0)])
+def test_what_is_asserted_against_the_clock_is_late(failure):
+    with pytest.raises(LateError), against_the_clock():
+        raise failure
+
+
+def test_any_other_failure_stays_what_it_is():
+    with pytest.raises(ValueError, match="a bug"), against_the_clock():
+        raise ValueError("a bug")
+
+
+SUITE = """
+import pytest
+from machine import LateError
+
+def test_late():
+    raise LateError("slow")
+
+def test_wrong():
+    assert not "a setpoint after the takeover"
+"""
+
+
+@pytest.mark.parametrize(("steal", "outcome"), [(0, {"failed": 2}), (50, {"failed": 1, "skipped": 1})])
+def test_stolen_time_excuses_what_is_late_and_nothing_else(steal, outcome, tmp_path):
+    """A suite of two failures under this suite's own conftest, with a /proc/stat that says what was stolen."""
+    here = Path(__file__).parent
+    (tmp_path / "conftest.py").write_text(
+        (here / "conftest.py").read_text() + f"\nticks = iter(range(99))\n"
+        f"def processor_ticks():\n    n = next(ticks)\n    return (n * {100 - steal}, 0, 0, 0, 0, 0, 0, n * {steal})\n"
+    )
+    (tmp_path / "test_both.py").write_text(SUITE)
+    call = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(tmp_path)]
+    path = os.pathsep.join([str(here), str(here.parent)])
+    done = subprocess.run(
+        call, capture_output=True, text=True, check=False, cwd=tmp_path, env={**os.environ, "PYTHONPATH": path}
+    )
+    counted = {word: int(n) for n, word in re.findall(r"(\d+) (failed|skipped|passed)", done.stdout.splitlines()[-1])}
+    assert counted == outcome, done.stdout
