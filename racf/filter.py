@@ -101,9 +101,10 @@ def solve_g(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Learned:
-    """A filter on its support, (m, n, D), and the unconstrained spectrum that localises, (2, H, Wf, D)."""
+    """A filter on its support, (m, n, D), its spectrum and the unconstrained one that localises, (2, H, Wf, D)."""
 
     filter: Float32
+    f_f: Float32
     g_f: Float32
 
 
@@ -113,21 +114,24 @@ def learn(
     x_f: Float32,
     residue_f: Float32,
     y_f: Float32,
-    previous: Float32 | None,
+    previous: Learned | None,
     aberrance: float = 0.0,
 ) -> Learned:
     """Minimise E with `params.admm_iterations` steps of ADMM.
 
     x_f, residue_f (2, H, Wf, D): model sample and residue.  y_f (2, H, Wf): label; with `aberrance` (gamma) > 0,
-    label + gamma times the previous response.  previous (m, n, D): last frame's filter, None in the first.
+    label + gamma times the previous response.  previous: last frame's filter, None in the first; with
+    `params.warm_start` its spectrum is where the iterations begin, and zero else.
     """
     channels = x_f.shape[3]
     size = grid.rows * grid.cols
     temporal = params.temporal if previous is not None else 0.0
     weights = params.spatial * bowl_weight(*grid.support, params.bowl) ** 2
-    zero = np.zeros_like(x_f).reshape(2, -1, channels)
-    f_f, u_f, g_f = zero, zero.copy(), np.empty_like(zero)
-    x, delta, y = x_f.reshape(zero.shape), residue_f.reshape(zero.shape), y_f.reshape(2, -1)
+    u_f = np.zeros_like(x_f).reshape(2, -1, channels)
+    g_f = np.empty_like(u_f)
+    warm = params.warm_start and previous is not None
+    f_f = previous.f_f.reshape(u_f.shape) if warm else np.zeros_like(u_f)
+    x, delta, y = x_f.reshape(u_f.shape), residue_f.reshape(u_f.shape), y_f.reshape(2, -1)
     penalty, before = params.penalty, 0.0
     filter_ = np.zeros((*grid.support, channels), np.float32)
     for _ in range(params.admm_iterations):
@@ -137,9 +141,9 @@ def learn(
         # Eq. 8: (mu + lambda + tau + theta w^2) f = mu g + zeta + tau f'
         pulled = grid.inverse_support(u_f.reshape(x_f.shape)) / np.float32(size)
         if previous is not None:
-            pulled += np.float32(temporal) * previous
+            pulled += np.float32(temporal) * previous.filter
         stiffness = np.asarray(penalty + params.ridge + temporal + weights, dtype=np.float32)
         filter_ = np.asarray(pulled / stiffness[..., None], dtype=np.float32)
-        f_f = grid.forward_support(filter_).reshape(zero.shape)
+        f_f = grid.forward_support(filter_).reshape(u_f.shape)
         before, penalty = penalty, min(penalty * params.penalty_growth, params.penalty_max)
-    return Learned(filter_, g_f.reshape(x_f.shape))
+    return Learned(filter_, f_f.reshape(x_f.shape), g_f.reshape(x_f.shape))

@@ -21,7 +21,7 @@ class Params:
     sample_min_px: int = 150  # the sample is resampled into this range of sides ...
     sample_max_px: int = 200
     label_sigma: float = 1 / 24  # of the Gaussian label, over sqrt(target area) in cells: not given [measured]
-    learning_rate: float = 0.0192  # alpha, Eq. 14
+    learning_rate: float = 0.0315  # alpha, Eq. 14: not given [measured]
     colour_names: bool = True  # on colour pictures; grey ones have none
 
     # Filter: the terms of Eq. 3 and their solver
@@ -33,6 +33,7 @@ class Params:
     ridge: float = 0.55  # lambda [Paper]
     aberrance: float = 0.0  # gamma, Eq. 2: ARCF's term
     admm_iterations: int = 2  # [Paper]
+    warm_start: bool = True  # from the last frame's filter, not from zero: not given [measured]
     penalty: float = 1.0  # mu of the first iteration [ARCF] ...
     penalty_growth: float = 10.0  # ... times this each iteration (beta) ...
     penalty_max: float = 10_000.0  # ... up to this (mu_max)
@@ -126,15 +127,14 @@ def _parse(name: str, text: str, kind: type) -> bool | int | float:
 
 _RACF_MINUS = Params()
 _RACF_MINUS_MINUS = replace(_RACF_MINUS, spatial=0.0, temporal=0.0)
+# The baselines have the label, ridge, rates and cold start of their authors' published code.
+_BASELINE = replace(_RACF_MINUS_MINUS, residue=0.0, label_sigma=1 / 16, ridge=0.01, warm_start=False)
 PRESETS = {
     "racf": replace(_RACF_MINUS, refine=True),
     "racf-": _RACF_MINUS,
     "racf--": _RACF_MINUS_MINUS,
-    # Label, ridge and rate of the baselines are those of their authors' published parameter files.
-    "bacf": replace(_RACF_MINUS_MINUS, residue=0.0, label_sigma=1 / 16, ridge=0.01, learning_rate=0.013),
-    "arcf-hc": replace(
-        _RACF_MINUS_MINUS, residue=0.0, label_sigma=1 / 16, ridge=0.01, aberrance=0.71, admm_iterations=5
-    ),
+    "bacf": replace(_BASELINE, learning_rate=0.013),
+    "arcf-hc": replace(_BASELINE, learning_rate=0.0192, aberrance=0.71, admm_iterations=5),
 }
 """The paper's three variants (Table 1) and its two baselines."""
 

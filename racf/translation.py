@@ -98,8 +98,7 @@ class TranslationFilter:
         if params.aberrance > 0 and self._response_f is not None:
             gamma = params.aberrance
             label_f = self._label_f + np.float32(gamma) * self._centred_response(self._response_f)
-        previous = None if self._learned is None else self._learned.filter
-        self._learned = learn(self._grid, params, model_f, residue_f, label_f, previous, gamma)
+        self._learned = learn(self._grid, params, model_f, residue_f, label_f, self._learned, gamma)
         self._model_f, self._sample_f = model_f, sample_f
         own = self._correlate(model_f).real @ self._grid.weights()
         self._self_response = max(float(own.sum()) / (self._grid.rows * self._grid.cols), 1e-9)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import scipy.fft
 
-from racf.filter import bowl_weight, learn, solve_g, solve_rank_two_numpy
+from racf.filter import Learned, bowl_weight, learn, solve_g, solve_rank_two_numpy
 from racf.fourier import Grid
 from racf.params import Params
 from racf.response import refine_peak
@@ -107,26 +107,40 @@ class Problem:
         matrix, right = self.normal_equations()
         return float(0.5 * f.ravel() @ matrix @ f.ravel() - right @ f.ravel())
 
-    def solve(self, iterations: int, growth: float) -> np.ndarray:
+    def solve(self, iterations: int, growth: float, *, warm: bool = True) -> np.ndarray:
         grid = Grid(ROWS, COLS, SUPPORT)
-        params = dataclasses.replace(self.params, admm_iterations=iterations, penalty_growth=growth)
+        params = dataclasses.replace(self.params, admm_iterations=iterations, penalty_growth=growth, warm_start=warm)
         y_f = planes(scipy.fft.rfft2(self.y))
         x_f, d_f = grid.forward(self.x), grid.forward(self.delta)
-        return learn(grid, params, x_f, d_f, y_f, self.previous).filter
+        f_f = grid.forward_support(self.previous)
+        return learn(grid, params, x_f, d_f, y_f, Learned(self.previous, f_f, np.zeros_like(f_f))).filter
 
 
+@pytest.mark.parametrize("warm", [True, False])
 @pytest.mark.parametrize("residue", [0.0, 1.0])
-def test_admm_converges_to_the_direct_minimiser(residue):
+def test_admm_converges_to_the_direct_minimiser(residue, warm):
     problem = Problem(Params(residue=residue, temporal=0.2))
     matrix, right = problem.normal_equations()
     direct = np.linalg.solve(matrix, right).reshape(*SUPPORT, CHANNELS)
-    np.testing.assert_allclose(problem.solve(300, growth=1.0), direct, atol=2e-4 * np.abs(direct).max() + 1e-5)
+    np.testing.assert_allclose(
+        problem.solve(300, growth=1.0, warm=warm), direct, atol=2e-4 * np.abs(direct).max() + 1e-5
+    )
 
 
 def test_the_objective_falls_with_the_iterations():
     problem = Problem(Params())
     values = [problem.objective(problem.solve(n, growth=1.0)) for n in (1, 2, 3, 5, 10)]
     assert all(later < earlier + 1e-9 for earlier, later in itertools.pairwise(values))
+
+
+def test_a_warm_start_from_the_minimiser_stays_there_sooner_than_a_cold_one():
+    """What two iterations are enough for from frame to frame, when little changes."""
+    problem = Problem(Params(temporal=0.0))
+    matrix, right = problem.normal_equations()
+    best = np.linalg.solve(matrix, right)
+    problem.previous = best.reshape(*SUPPORT, CHANNELS).astype(np.float32)
+    warm, cold = (problem.objective(problem.solve(2, growth=10.0, warm=warm)) for warm in (True, False))
+    assert problem.objective(best) <= warm < cold
 
 
 @pytest.mark.parametrize("size", [(20, 21), (21, 20)])
