@@ -129,8 +129,7 @@ def learn(
     weights = params.spatial * bowl_weight(*grid.support, params.bowl) ** 2
     u_f = np.zeros_like(x_f).reshape(2, -1, channels)
     g_f = np.empty_like(u_f)
-    warm = params.warm_start and previous is not None
-    f_f = previous.f_f.reshape(u_f.shape) if warm else np.zeros_like(u_f)
+    f_f = np.zeros_like(u_f) if previous is None or not params.warm_start else previous.f_f.reshape(u_f.shape)
     x, delta, y = x_f.reshape(u_f.shape), residue_f.reshape(u_f.shape), y_f.reshape(2, -1)
     penalty, before = params.penalty, 0.0
     filter_ = np.zeros((*grid.support, channels), np.float32)
