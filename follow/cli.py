@@ -1,6 +1,5 @@
 """The `follow` command line.  `cli_replay`, `cli_sim` and `cli_run` put the parts of their command together."""
 
-import signal
 import sys
 from collections.abc import Sequence
 from typing import Any, cast
@@ -44,7 +43,6 @@ def execute(command: Replay | Sim | Run | Doctor | Inspect) -> None:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """The program; returns the exit status."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # a service manager's stop ends as cleanly as Ctrl-C
     words = sys.argv[1:] if argv is None else argv
 
     def work() -> None:

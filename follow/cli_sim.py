@@ -9,7 +9,6 @@ from follow.commands import Sim
 from follow.config import Config, suited
 from follow.loop import follow
 from follow.messages import Autopilot, Order, Tick
-from follow.parallel import each
 from follow.record import Recorder
 from follow.safety import Safety
 from follow.servo import Servo
@@ -20,6 +19,7 @@ from follow.target import Target
 from follow.terminal import Terminal, result, table
 from racf.box import Box
 from racf.commandline import UsageError
+from racf.parallel import each
 from sim.picture import Strip, draw
 from sim.scenarios import SCENARIOS, build
 from sim.score import Row, score
@@ -114,7 +114,9 @@ def sim_all(command: Sim, scenarios: Sequence[str], terminal: Terminal) -> None:
     ]
     flights = [replace(flight, out=command.out / flight.name) for flight in flights]
     flown = terminal.progress(each(simulate_quietly, flights), len(flights), "sim --all", "flights")
-    summaries = sorted(flown, key=lambda s: (scenarios.index(s["scenario"]), s["autopilot"], s["seed"]))
+    summaries = sorted(
+        (figures for _, figures in flown), key=lambda s: (scenarios.index(s["scenario"]), s["autopilot"], s["seed"])
+    )
     written = table(summaries)
     (command.out / "all.txt").write_text(written)
     if command.json:

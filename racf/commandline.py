@@ -6,6 +6,7 @@ Exit status: 0 done, 1 the run failed, 2 wrong use.  An error is one line on sta
 import contextlib
 import io
 import re
+import signal
 import sys
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar, cast
@@ -50,6 +51,7 @@ def guarded(work: Callable[[], None], *, prog: str, failures: tuple[type[Excepti
     UsageError ends in 2; OSError, ValueError and the `failures` that a program's own parts raise end in 1.  Anything
     else is a defect of ours and keeps its traceback.
     """
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # a service manager's stop ends as cleanly as Ctrl-C
     one_core()
     try:
         work()

@@ -10,10 +10,8 @@ import json
 import os
 import zlib
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from functools import cache
-from multiprocessing import get_context
 from pathlib import Path
 from time import perf_counter
 from typing import Any, Protocol
@@ -27,6 +25,7 @@ from racf.evaluate.benchmarks import Sequence
 from racf.evaluate.boxfiles import read_boxes, write_boxes
 from racf.evaluate.metrics import Boxes
 from racf.evaluate.pictures import read_frame
+from racf.parallel import each
 from racf.threads import one_core
 from racf.track import Track
 
@@ -177,15 +176,8 @@ def _outcomes(todo: list[Task], jobs: int, dask: str | None) -> Iterator[tuple[T
     elif jobs == 1:
         for task in todo:
             yield task, run_task(task)
-    elif todo:
-        # Spawned, not forked: a fork would copy the progress bar's thread and OpenCV's locks in whatever state.
-        with ProcessPoolExecutor(min(jobs, len(todo)), mp_context=get_context("spawn")) as pool:
-            waiting = {pool.submit(run_task, task): task for task in todo}
-            try:
-                for future in as_completed(waiting):
-                    yield waiting[future], future.result()
-            finally:
-                pool.shutdown(wait=True, cancel_futures=True)
+    else:
+        yield from each(run_task, todo, jobs)
 
 
 def _on_dask(todo: list[Task], address: str) -> Iterator[tuple[Task, Run]]:

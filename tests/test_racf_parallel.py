@@ -1,0 +1,31 @@
+"""Independent jobs in several processes."""
+
+import time
+from multiprocessing import active_children
+from pathlib import Path
+
+from racf.parallel import each
+
+
+def leave_a_mark(job: tuple[float, Path]) -> str:
+    """Sleep, then leave a file behind."""
+    seconds, mark = job
+    time.sleep(seconds)
+    mark.touch()
+    return mark.name
+
+
+def test_every_job_comes_back_with_its_own_answer(tmp_path):
+    jobs = [(0.01 * (3 - i), tmp_path / str(i)) for i in range(4)]
+    assert {job[1].name: answer for job, answer in each(leave_a_mark, jobs, 2)} == {str(i): str(i) for i in range(4)}
+    assert not list(each(leave_a_mark, []))
+
+
+def test_a_caller_who_goes_away_ends_the_work_that_has_begun(tmp_path):
+    quick, slow = tmp_path / "quick", tmp_path / "slow"
+    answers = each(leave_a_mark, [(0.0, quick), (20.0, slow)], 2)
+    next(answers)
+    answers.close()
+    assert quick.exists()
+    assert not slow.exists()
+    assert not active_children()
