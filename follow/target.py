@@ -44,13 +44,14 @@ class TargetConfig:
     lose_psr: float = 0.6  # less is not believed: 2 % of the pictures on the target, 98 % of looks elsewhere
     regain_psr: float = 0.7  # ... nor, after a loss, less than this: 4 % and 99.6 %; and `confirm` in a row are asked
     psr_rate: float = 0.01  # ... usual: the running mean over about three seconds of what was accepted
+    settle: int = 5  # pictures until anything is usual: the very first response can be twice as sharp as any later one
     steady_s: float = 6.0  # an unseen target is thought to go on as it did for so long: past a wall or some trees ...
     coast_s: float = 6.0  # ... and then to slow down with this time constant
     wait_s: float = 0.1  # a box waits so long for the attitude of its time; as old as the gate lets attitude be
     compensate: bool = True  # use the pose at the picture's time and predict over the delay
 
     def __post_init__(self) -> None:
-        may_be_zero = ("lost_after_s", "confirm", "lose_psr", "regain_psr", "psr_rate", "steady_s", "wait_s")
+        may_be_zero = ("lost_after_s", "confirm", "lose_psr", "regain_psr", "psr_rate", "settle", "steady_s", "wait_s")
         require_numbers("target setting", self, may_be_zero=may_be_zero)
 
 
@@ -142,6 +143,7 @@ class Target:
     box: Box | None = None
     seen_t_s: float = NEVER
     proofs: int = 0
+    accepted: int = 0
     usual_psr: float = 0.0
     on_trial: bool = False
     waiting: deque[tuple[float, Track]] = field(default_factory=lambda: deque[tuple[float, Track]](maxlen=16))
@@ -206,7 +208,8 @@ class Target:
             if not self.plausible(f, place, box, pose):
                 return False
             lost = t_s - self.seen_t_s > c.lost_after_s
-            if track.psr < (c.regain_psr if lost else c.lose_psr) * self.usual_psr:
+            settling = self.accepted < c.settle and not lost
+            if not settling and track.psr < (c.regain_psr if lost else c.lose_psr) * self.usual_psr:
                 return False
             if lost:
                 self.proofs += 1
@@ -214,7 +217,9 @@ class Target:
                     return True
             self.filter = corrected(f, place.ground, place.covariance)
         self.filter = resized(self.filter, place, c.box_relative_std)
-        self.usual_psr += (c.psr_rate if self.usual_psr else 1.0) * (track.psr - self.usual_psr)
+        if track.psr > 0:  # the box that was given at the start has no response
+            self.accepted += 1
+            self.usual_psr += max(c.psr_rate, 1.0 / self.accepted) * (track.psr - self.usual_psr)
         self.box, self.seen_t_s, self.proofs = box, t_s, 0
         return True
 

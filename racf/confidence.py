@@ -24,6 +24,7 @@ class Confidence:
     def __init__(self, params: Params) -> None:
         self.params = params
         self.lost_frames = 0
+        self._frames = 0
         self._psr = self._value = 0.0
 
     def ratio(self, psr: float, value: float) -> float:
@@ -36,17 +37,21 @@ class Confidence:
         """The verdict on a frame.  Once lost, only a response as clear as `regain_above` finds again.
 
         Clear frames make the running means.  Others count too, though slowly: a target that stays changed becomes
-        normal in the end.
+        normal in the end.  The first `settle_frames` are clear whatever they are: the very first response, of a filter
+        that has seen one picture to a second that is all but the same, can be twice as sharp as any later one.
         """
         params, ratio = self.params, self.ratio(psr, value)
+        self._frames += 1
+        settling = self._frames <= params.settle_frames
         if self.lost_frames:
             self.lost_frames = 0 if ratio >= params.regain_above else self.lost_frames + 1
-        elif ratio < params.lost_below:
+        elif ratio < params.lost_below and not settling:
             self.lost_frames = 1
-        clear = ratio >= params.learn_above and not self.lost_frames
+        clear = settling or (ratio >= params.learn_above and not self.lost_frames)
         rate = params.confidence_rate if clear else params.confidence_rate_doubtful
-        self._psr += (rate if self._psr > 0 else 1.0) * (psr - self._psr)
-        self._value += (rate if self._value > 0 else 1.0) * (value - self._value)
+        rate = max(rate, 1.0 / self._frames) if clear else rate  # the plain mean, until it is as long as the memory
+        self._psr += rate * (psr - self._psr)
+        self._value += rate * (value - self._value)
         if self.lost_frames:
             return Verdict.LOST
         return Verdict.CLEAR if clear else Verdict.DOUBTFUL

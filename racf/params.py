@@ -67,6 +67,7 @@ class Params:
     confidence_rate: float = 0.01  # of the running means: a memory of a hundred clear frames, for at 0.1 they follow
     # a slow occlusion (PSR 14 to 5 within 0.7 s) down and call the wall the target [measured, sim wall] ...
     confidence_rate_doubtful: float = 0.002  # ... and of five hundred others
+    settle_frames: int = 5  # frames after the start in which nothing is usual yet, and every response is believed
     strict_refine: bool = True  # a segment must agree with the scale filter more closely ...
     strict_iou: float = 0.8  # ... than this [measured]
     limit_scale: bool = False  # at most one scale step a frame: hurts fast approaches [measured]

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from racf import Box, Racf, preset
+from racf.confidence import Confidence, Verdict
 from racf.motion import EgoMotion
 
 ROWS, COLS, SIDE = 240, 400, 36
@@ -56,6 +57,13 @@ def test_an_occluded_target_is_not_found_and_is_found_again_behind_the_wall():
     k, last = tracks[-1]
     assert last.found
     assert last.box.iou(box(40 + 3 * k, 100)) > 0.7
+
+
+def test_a_first_response_sharper_than_all_that_follow_does_not_make_the_rest_look_lost():
+    confidence = Confidence(ROBUST)
+    verdicts = [confidence.judge(psr, value) for psr, value in [(15.5, 1.0), *[(8.4, 0.5)] * 60]]
+    assert set(verdicts) == {Verdict.CLEAR}
+    assert confidence.judge(3.0, 0.2) is Verdict.LOST
 
 
 def test_nothing_is_learned_while_the_target_is_hidden():

@@ -185,6 +185,17 @@ def test_after_a_loss_a_blurred_box_is_not_believed():
     assert estimate.seen_t_s == 59 * DT
 
 
+def test_a_first_response_sharper_than_all_that_follow_does_not_make_the_rest_look_lost():
+    target = Target(CAMERA, DOWN)
+    for i, psr in enumerate([0.0, 20.0, *[9.0] * 40]):  # the box given at the start has no response
+        state = hovering(i * DT)
+        estimate = target.update(replace(seen(box_of((12.0, 0.0), state)), psr=psr), state, i * DT)
+        assert estimate.seen_t_s == i * DT
+    state = hovering(42 * DT)
+    blurred = replace(seen(box_of((12.0, 0.0), state)), psr=4.0)
+    assert target.update(blurred, state, 42 * DT).seen_t_s == 41 * DT
+
+
 def test_uncertainty_after_a_wait_does_not_depend_on_how_often_one_looked():
     once, often = Target(CAMERA, DOWN), Target(CAMERA, DOWN)
     for target in (once, often):
