@@ -50,7 +50,7 @@ def measure(folder: Path, truth: np.ndarray, tracker: str, frames: int, into: Ra
     boxes = [Box(x - 1, y - 1, w, h) if w > 0 and h > 0 else None for x, y, w, h in np.nan_to_num(truth).tolist()]
     finder, random = TrackerSpec.parse(tracker).build(), np.random.default_rng(0)
     assert isinstance(finder, Racf)
-    track, usual, overlaps = None, 0.0, []
+    track, usual, accepted, overlaps = None, 0.0, 0, list[float]()
     for k, (image, box) in enumerate(zip(islice(frames_of(folder), frames), boxes, strict=False)):
         if box is None:
             continue
@@ -58,17 +58,18 @@ def measure(folder: Path, truth: np.ndarray, tracker: str, frames: int, into: Ra
             track = finder.init(image, box)
             continue
         prior = away(track, image, random)
-        if k % EVERY == 0 and overlaps and overlaps[-1] >= ON and prior is not None:
+        if k % EVERY == 0 and accepted >= CONFIG.settle and overlaps[-1] >= ON and prior is not None:
             look = copy.deepcopy(finder).update(image, prior)
             if look.box.iou(box) < OFF:
                 into.elsewhere.append(look.psr / usual)
         track = finder.update(image)
-        usual = usual or track.psr
-        into.followed.append(track.psr / usual)
         overlaps.append(track.box.iou(box))
-        if track.psr >= CONFIG.lose_psr * usual:
-            usual += CONFIG.psr_rate * (track.psr - usual)
-    into.overlap += overlaps
+        if accepted >= CONFIG.settle:
+            into.followed.append(track.psr / usual)
+            into.overlap.append(overlaps[-1])
+        if accepted < CONFIG.settle or track.psr >= CONFIG.lose_psr * usual:
+            accepted += 1
+            usual += max(CONFIG.psr_rate, 1 / accepted) * (track.psr - usual)
     return overlaps
 
 

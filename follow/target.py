@@ -41,8 +41,8 @@ class TargetConfig:
     lost_after_s: float = 0.5  # unseen for so long, a box must prove itself ...
     confirm: int = 3  # ... in so many pictures in a row
     # Sharpness (PSR) over the target's usual one, measured on ten real sequences (docs/confidence.md):
-    lose_psr: float = 0.6  # less is not believed: 2 % of the pictures on the target, 98 % of looks elsewhere
-    regain_psr: float = 0.7  # ... nor, after a loss, less than this: 4 % and 99.6 %; and `confirm` in a row are asked
+    lose_psr: float = 0.6  # less is not believed: 3 % of the pictures on the target, 97 % of looks elsewhere
+    regain_psr: float = 0.7  # ... nor, after a loss, less than this: 6 % and 99 %; and `confirm` in a row are asked
     psr_rate: float = 0.01  # ... usual: the running mean over about three seconds of what was accepted
     settle: int = 5  # pictures until anything is usual: the very first response can be twice as sharp as any later one
     steady_s: float = 6.0  # an unseen target is thought to go on as it did for so long: past a wall or some trees ...
