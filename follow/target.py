@@ -44,7 +44,7 @@ class TargetConfig:
     lose_psr: float = 0.6  # less is not believed: 3 % of the pictures on the target, 97 % of looks elsewhere
     regain_psr: float = 0.7  # ... nor, after a loss, less than this: 6 % and 99 %; and `confirm` in a row are asked
     psr_rate: float = 0.01  # ... usual: the running mean over about three seconds of what was accepted
-    settle: int = 5  # pictures until anything is usual: the very first response can be twice as sharp as any later one
+    settle: int = 5  # pictures until anything is usual: the very first response can be far sharper than any later one
     steady_s: float = 6.0  # an unseen target is thought to go on as it did for so long: past a wall or some trees ...
     coast_s: float = 6.0  # ... and then to slow down with this time constant
     wait_s: float = 0.1  # a box waits so long for the attitude of its time; as old as the gate lets attitude be

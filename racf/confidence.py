@@ -38,7 +38,7 @@ class Confidence:
 
         Clear frames make the running means.  Others count too, though slowly: a target that stays changed becomes
         normal in the end.  The first `settle_frames` are clear whatever they are: the very first response, of a filter
-        that has seen one picture to a second that is all but the same, can be twice as sharp as any later one.
+        that has seen one picture to a second that is all but the same, can be far sharper than any later one.
         """
         params, ratio = self.params, self.ratio(psr, value)
         self._frames += 1
