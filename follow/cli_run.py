@@ -52,13 +52,14 @@ def eye(command: Run, link: Link, report: Callable[[str], None]) -> Eye:
         return scene_eye(command, link)
     if command.target is None:
         raise UsageError("what is to be followed? give --target x,y,w,h")
-    if is_live(command.camera):
-        camera = LiveVideo(command.camera, report)
-    else:
-        camera = RealTime(open_replay(command.camera, None, report))
     mount = command.config.camera
+    if is_live(command.camera):
+        camera = LiveVideo(command.camera, report, mount.delay_s)
+        suggested = {"limits": {"latency_s": mount.delay_s}}
+    else:
+        camera, suggested = RealTime(open_replay(command.camera, None, report)), {}
     lens = mount.intrinsics(*camera.size)
-    return Eye(camera, lens, mount.down_rad, box_of(command.target), suited(command.config, lens))
+    return Eye(camera, lens, mount.down_rad, box_of(command.target), suited(command.config, lens, suggested))
 
 
 def scene_eye(command: Run, link: Link) -> Eye:

@@ -1,4 +1,6 @@
-"""The vehicle's clock seen from ours: when was this measured, in our time?"""
+"""Other clocks seen from ours: when was this measured, or this picture taken, in our time?"""
+
+from collections import deque
 
 from follow.messages import NEVER
 
@@ -7,6 +9,8 @@ LONGEST_TRIP_S = 1.0  # an answer later than this is to a question of another li
 ROUNDING_S = 1e-6  # nanoseconds on the wire, binary fractions here
 AHEAD_S = 0.1  # more than any stamp is rounded by: the vehicle's clock was set forward
 BEHIND_S = 1.0  # a time this far behind the last one means that the vehicle restarted, not that packets overtook
+SETTLE_S = 1.0  # FFmpeg keeps what comes while it studies a stream and gives it first: 1.4 s of it were read in 0.5 s
+WINDOW_S = 10.0  # a stream that is later than it was for this long is late no more: its way has become longer
 
 
 class VehicleClock:
@@ -53,3 +57,31 @@ class VehicleClock:
         self.round_trip_s = float("inf")
         self._measured_t_s = NEVER
         self._newest.clear()
+
+
+class StreamClock:
+    """Maps a stream's own time stamps to ours by the picture that came soonest after its stamp.
+
+    What every picture needs (exposure, encoding, the way) cannot be told from here; what one came later than the others
+    can, as those that pile up while a network stalls and then come at once.
+    """
+
+    def __init__(self) -> None:
+        self._settled_t_s: float | None = None
+        self._stamp_s = NEVER
+        self._delays: deque[tuple[float, float]] = deque()  # arrival, and time since the stamp; both grow from left
+
+    def taken_at(self, stamp_s: float, t_s: float) -> float | None:
+        """Our time of a picture stamped `stamp_s` that came at `t_s`; None for the first second's, which waited."""
+        if stamp_s <= self._stamp_s:
+            self._delays.clear()  # its clock began anew, or stands still: then there is none
+        self._stamp_s = stamp_s
+        delay_s = t_s - stamp_s
+        while self._delays and self._delays[-1][1] >= delay_s:
+            self._delays.pop()
+        self._delays.append((t_s, delay_s))
+        while self._delays[0][0] < t_s - WINDOW_S:
+            self._delays.popleft()
+        if self._settled_t_s is None:
+            self._settled_t_s = t_s + SETTLE_S
+        return t_s - (delay_s - self._delays[0][1]) if t_s >= self._settled_t_s else None

@@ -20,14 +20,17 @@ BranchT = TypeVar("BranchT", bound="DataclassInstance")
 
 @dataclass(frozen=True, slots=True)
 class CameraConfig:
-    """How the camera sees and is mounted.  Raises ValueError for an angle that no camera has."""
+    """How the camera sees, how late, and how it is mounted.  Raises ValueError for what no camera has."""
 
     fov_deg: float = 70.0  # horizontal; common FPV and action cameras, undistorted, lie between 60 and 90
     down_deg: float = 30.0  # optical axis below the nose: 10 m up, the middle of the picture is 17 m ahead
+    delay_s: float = 0.0  # a device's or stream's, from exposure to arrival; USB, H.264 and radio take 0.03 to 0.2 s
 
     def __post_init__(self) -> None:
         if not 1 <= self.fov_deg <= 170:
             raise ValueError(f"a pinhole's horizontal field of view lies in 1..170 degrees, not {self.fov_deg:g}")
+        if not 0 <= self.delay_s <= 1:
+            raise ValueError(f"a camera's delay lies in 0..1 s, not {self.delay_s:g}")
         if not -90 <= self.down_deg <= 90:
             raise ValueError(f"a camera looks -90..90 degrees below the nose, not {self.down_deg:g}")
 

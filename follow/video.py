@@ -2,7 +2,8 @@
 
 A replayed source is played round by round: round `n` is the picture of time `n / fps`, and a picture that is missing
 or cannot be decoded is a round without one, so that time and annotation rows stay in step with what was filmed.
-A live source keeps only its newest picture; a thread at the edge reads it.
+A live source keeps only its newest picture; a thread at the edge reads it.  A device's picture bears the time at which
+it came; a stream's that of its stamp, so that pictures which piled up on the way are not taken for new.
 """
 
 import itertools
@@ -22,12 +23,14 @@ from numpy.typing import NDArray
 from typing_extensions import Self
 
 from follow.camera import Camera, CameraError
+from follow.clock import StreamClock
 from follow.messages import Frame
 
 IMAGE_SUFFIXES = frozenset({".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp"})
 FOLDER_FPS = 30.0  # image folders seldom say; the commonest rate of the published UAV sequences
 LONGEST_GAP_S = 10.0  # a longer hole in numbers or time stamps is a cut, not lost pictures
 DECODE_ATTEMPTS = 64  # failed reads in a row after which a file is taken to have ended: two seconds at 30 pictures/s
+STAMPED = ("rtsp://", "rtsps://", "udp://", "srt://")  # stamped by the sender; HTTP's stamps may be made up on arrival
 ROUND_S = 1 / 20  # live: a round at least this often; PX4 drops OFFBOARD below 2 Hz, 20 Hz is MAVLink's usual rate
 REOPEN_AFTER_S = 1.0  # live: pause before a broken stream is tried again
 OPEN_S = 10.0  # live: a stream that does not begin within this is not there; OpenCV's own patience is 30 s ...
@@ -212,13 +215,18 @@ class VideoFile(_Closing):
 class LiveVideo(_Closing):
     """A device or stream.  A thread reads it; only the newest picture is kept, with the time at which it came.
 
+    Where a stream bears stamps it is the time at which the picture would have come had nothing held it up.  `delay_s`,
+    which exposure, encoding and the way take of every picture, is taken off.
     `size` is the width and height of its pictures, as it says itself.
     """
 
-    def __init__(self, source: str, report: Report, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, source: str, report: Report, delay_s: float = 0.0, clock: Callable[[], float] = time.monotonic
+    ) -> None:
         _hush_decoders()
         self._source = source
         self._report = report
+        self._delay_s = delay_s
         self._clock = clock
         self._video = self._open()
         if not self._video.isOpened():
@@ -256,15 +264,20 @@ class LiveVideo(_Closing):
 
     def _read(self) -> None:
         index, broken = 0, False
+        stream = StreamClock()
         while not self._closing.is_set():
             good, image = self._video.read()
             if good:
                 if broken:
                     self._report(f"camera {self._source!r} gives pictures again")
                 broken = False
-                with self._fresh:
-                    self._newest = Frame(_bytes(image), self._clock(), index)
-                    self._fresh.notify()
+                t_s = self._clock()
+                if self._source.startswith(STAMPED):
+                    t_s = stream.taken_at(self._video.get(cv2.CAP_PROP_POS_MSEC) / 1e3, t_s)
+                if t_s is not None:
+                    with self._fresh:
+                        self._newest = Frame(_bytes(image), t_s - self._delay_s, index)
+                        self._fresh.notify()
                 index += 1
                 continue
             if not broken:
@@ -272,7 +285,7 @@ class LiveVideo(_Closing):
             broken = True
             self._video.release()
             if not self._closing.wait(REOPEN_AFTER_S):
-                self._video = self._open()
+                self._video, stream = self._open(), StreamClock()
         self._video.release()
 
 

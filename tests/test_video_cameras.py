@@ -12,11 +12,17 @@ import cv2
 import numpy as np
 import pytest
 from machine import LateError, against_the_clock
+from real_flight import free_ports
 
 from follow import video
 from follow.camera import CameraError
-from follow.messages import Frame
+from follow.cli_run import eye
+from follow.commands import Run
+from follow.config import CameraConfig, Config
+from follow.messages import Autopilot, Frame
 from follow.video import LiveVideo, is_live, open_replay
+from sim.dynamics import Motion, Vehicle
+from sim.link import SimLink
 
 
 def picture(n: int, size=(48, 32)) -> np.ndarray:
@@ -245,9 +251,60 @@ def test_a_sender_that_falls_silent_is_reported_within_the_patience(stream, monk
             assert longest >= 5, "a round every 50 ms, picture or not: the gate sees the picture grow old"
 
 
+def test_the_delay_that_a_camera_is_known_to_have_is_taken_off_and_granted_by_the_gate(stream):
+    chosen = Config(camera=CameraConfig(delay_s=0.15))
+    command = Run("udpin:127.0.0.1:1", camera=stream().uri, target="10,10,30,40", config=chosen)
+    began_t_s = time.monotonic()
+    with SimLink(Vehicle(Autopilot.PX4, Motion())) as link, (seen := eye(command, link, lambda _line: None)).camera:
+        frame = next(frame for frame in seen.camera.frames() if frame is not None)
+        assert began_t_s - 0.15 < frame.t_s < time.monotonic() - 0.15
+    assert seen.config.limits.latency_s == 0.15
+
+
 def test_a_stream_that_nobody_sends_is_refused_in_one_sentence(stream):
     server = stream()
     server.end()
     with pytest.raises(CameraError) as refusal:
         LiveVideo(server.uri, print)
     assert str(refusal.value) == f"camera {server.uri!r} cannot be opened"
+
+
+def send(writer: cv2.VideoWriter, began_t_s: float, stall: tuple[int, float], ending: threading.Event) -> None:
+    """Thirty pictures a second, each with its number; before one the network stalls, and then brings all."""
+    rng = np.random.default_rng(0)
+    for n in itertools.count():
+        if ending.wait(max(began_t_s + n / 30 - time.monotonic(), stall[1] if n == stall[0] else 0.0)):
+            break
+        image = rng.integers(100, 156, (240, 320, 3), np.uint8)
+        image[:40] = np.repeat(255 * (n >> np.arange(16) & 1), 20).astype(np.uint8)[None, :, None]
+        writer.write(image)
+    writer.release()
+
+
+def number_in(frame: Frame) -> int:
+    lit = frame.image[10:30].mean((0, 2)).reshape(16, 20)[:, 5:15].mean(1) > 127
+    return int(lit @ (1 << np.arange(16)))
+
+
+@pytest.mark.realtime
+def test_pictures_that_a_network_held_up_bear_the_time_at_which_they_were_taken():
+    """The referee is the number in the picture; what the decoder holds back is the same for all."""
+    uri, ending = f"udp://127.0.0.1:{free_ports(1)[0]}", threading.Event()
+    # OpenCV opens one of these at a time: the sender must be there before the camera waits for it.
+    mpeg_ts = cv2.VideoWriter(f"{uri}/pictures.ts", cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"mp4v"), 30, (320, 240))
+    began_t_s = time.monotonic()
+    sender = threading.Thread(target=send, args=(mpeg_ts, began_t_s, (120, 1.0), ending))
+    sender.start()
+    try:
+        with LiveVideo(uri, lambda _line: None) as camera:
+            rounds = watched(camera, lambda: time.monotonic() > began_t_s + 7.0)
+    finally:
+        ending.set()
+        sender.join()
+    frames = [frame for frame in rounds if frame is not None]
+    delays = np.array([frame.t_s - began_t_s - number_in(frame) / 30 for frame in frames])
+    held_up = [frame for frame in frames if 105 < number_in(frame) < 140]
+    with against_the_clock():
+        assert len(frames) > 90
+        assert held_up, "some of the backlog is read between two rounds"
+        assert delays.max() - delays.min() < 0.1, "half a second and more where the time of arrival is taken"
