@@ -1,6 +1,7 @@
 """The fault matrix in lockstep, as data: what is done to a flight, what must happen, within which bound."""
 
 import math
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
@@ -83,6 +84,28 @@ def drop_for(seconds: float) -> Callable[[Rig], None]:
             return packets if rig.t_s > rig.fault_t_s + seconds else []
 
         rig.to_client = rig.to_autopilot = way
+
+    return inject
+
+
+def hold_up_for(seconds: float) -> Callable[[Rig], None]:
+    """A network that stalls and then brings all pictures, three a round: the newest of them, with the time it shows."""
+
+    def inject(rig: Rig) -> None:
+        waiting: deque[tuple[Frame, Box]] = deque()
+        seen: list[Box] = []
+
+        def see(frame: Frame | None) -> Frame | None:
+            if frame is not None and (box := rig.true_box()) is not None:
+                waiting.append((frame, box))
+            if rig.t_s < rig.fault_t_s + seconds or not waiting:
+                return None
+            newest = [waiting.popleft() for _ in range(min(3, len(waiting)))][-1]
+            seen[:] = [newest[1]]
+            return newest[0]
+
+        rig.see = see
+        rig.track = lambda track: replace(track, box=seen[0], search=seen[0].scaled(3))
 
     return inject
 
@@ -298,6 +321,7 @@ WITHIN_SPEED = within("no limit is passed, in control", "8 m/s + 0.5 m/s", lambd
 
 ROWS = (
     Row("camera stalls", stall, STOP, fast=True),
+    Row("network holds pictures up for 0.8 s", hold_up_for(0.8), goes_on(3.0)),
     Row("camera repeats one picture", freeze, STOP, fast=True),
     Row("picture goes black", black, STOP),
     Row("decoder error", decoder_error, STOP),
