@@ -4,10 +4,11 @@ import os
 import re
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
-from machine import LateError, against_the_clock, parsed, processor_ticks, stolen
+from machine import LateError, against_the_clock, awake, parsed, processor_ticks, stolen
 
 LINE = "cpu  100 0 50 800 10 0 5 {steal} 7 0\ncpu0 1 2 3 4 5 6 7 8 0 0\n"
 
@@ -25,6 +26,20 @@ def test_ticks_only_grow():
     first, second = processor_ticks(), processor_ticks()
     assert all(a <= b for a, b in zip(first, second, strict=True))
     assert 0.0 <= stolen(first, second) <= 1.0
+
+
+@pytest.mark.skipif(not hasattr(os, "SCHED_IDLE"), reason="Linux only")
+def test_what_keeps_the_cores_awake_takes_only_time_that_nobody_wants_and_ends():
+    with awake() as spinners:
+        assert len(spinners) == len(os.sched_getaffinity(0))
+        end = time.monotonic() + 10.0
+        while any(os.sched_getscheduler(pid) != os.SCHED_IDLE for pid in spinners):
+            assert time.monotonic() < end
+            time.sleep(0.01)
+        assert sorted(core for pid in spinners for core in os.sched_getaffinity(pid)) == sorted(os.sched_getaffinity(0))
+    for pid in spinners:
+        with pytest.raises(ProcessLookupError):
+            os.kill(pid, 0)
 
 
 @pytest.mark.parametrize("failure", [AssertionError("slow"), subprocess.TimeoutExpired("follow", 2.0)])
