@@ -29,8 +29,9 @@ Made by `make faults`; each row is a flight, and the same rows are tests. A targ
 in FOLLOW behind it; 15 s into the flight the fault comes. In lockstep the application's own session, gate, servo,
 estimate and MAVLink client fly against the simulated autopilot on a virtual clock, with a tracker that knows the truth;
 rows marked *process* are `follow run` with the drawn scene against `python -m sim.autopilot` over UDP, in real time,
-with a target that walks at 1.4 m/s. "Stands" is the true horizontal speed staying below 0.3 m/s; time and way count
-from the fault. The autopilots have the parameters that `follow doctor` asks for.
+with a target that walks at 1.4 m/s, on cores that processes of the lowest priority keep awake. "Stands" is the true
+horizontal speed staying below 0.3 m/s; time and way count from the fault. The autopilots have the parameters that
+`follow doctor` asks for.
 
 A sender that the link does not carry to us cannot be seen: an autopilot passes on no setpoints that are addressed to
 itself. Our own clock is the monotonic one, which no operating system sets; its jumps are here all the same.
