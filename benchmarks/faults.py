@@ -2,7 +2,8 @@
 
     python benchmarks/faults.py [--only TEXT] [--no-processes]
 
-The rows in lockstep fly on a virtual clock; the others are `follow run` itself as a process over UDP in real time.
+The rows in lockstep fly on a virtual clock; the others are `follow run` itself as a process over UDP in real time.  One
+that is late while the host takes the machine away is flown again, which standard error says.
 """
 
 import argparse
@@ -17,11 +18,13 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "tests"))  # the rows are tests, too
 os.environ["MAVLINK20"] = "1"
 
-from fault_processes import PROCESS_ROWS  # noqa: E402
+from fault_processes import PROCESS_ROWS, ProcessRow  # noqa: E402
 from fault_rows import ROWS  # noqa: E402
-from machine import awake, processor_ticks, stolen  # noqa: E402
+from machine import STOLEN, LateError, awake, processor_ticks, stolen  # noqa: E402
 
 from follow.messages import Autopilot  # noqa: E402
+
+ATTEMPTS = 6  # of a flight that the host made late
 
 ABOUT = """# What happens when something fails
 
@@ -51,9 +54,24 @@ def rows(only: str, processes: bool) -> Iterator[tuple[str, tuple[str, ...]]]:
             yield line(cells, flown.wrong), flown.wrong
     for row in PROCESS_ROWS if processes else ():
         for rules in row.rules if only in row.name else ():
-            with tempfile.TemporaryDirectory() as out:
-                measured, mode, wrong = row.fly(rules, Path(out))
+            measured, mode, wrong = in_time(row, rules)
             yield line((f"{row.name} (*process*)", rules, row.must, row.bound, measured, mode), wrong), wrong
+
+
+def in_time(row: ProcessRow, rules: str) -> tuple[str, str, tuple[str, ...]]:
+    """Fly a row in real time; one that was late while the host took the machine away is flown again."""
+    late = ""
+    for _ in range(ATTEMPTS):
+        ticks = processor_ticks()
+        try:
+            with tempfile.TemporaryDirectory() as out:
+                return row.fly(rules, Path(out))
+        except LateError as error:
+            late, taken = str(error).splitlines()[0][:200], stolen(ticks, processor_ticks())
+            print(f"{row.name}, {rules}: the host took {taken:.0%}; {late}", file=sys.stderr)
+            if taken <= STOLEN:
+                break
+    return "", "", (f"late: {late}",)
 
 
 def line(cells: tuple[str, ...], wrong: tuple[str, ...]) -> str:
