@@ -9,7 +9,7 @@ LONGEST_TRIP_S = 1.0  # an answer later than this is to a question of another li
 ROUNDING_S = 1e-6  # nanoseconds on the wire, binary fractions here
 AHEAD_S = 0.1  # more than any stamp is rounded by: the vehicle's clock was set forward
 BEHIND_S = 1.0  # a time this far behind the last one means that the vehicle restarted, not that packets overtook
-SETTLE_S = 1.0  # FFmpeg keeps what comes while it studies a stream and gives it first: 1.4 s of it were read in 0.5 s
+SETTLE_S = 1.0  # FFmpeg keeps what comes while it studies a stream and gives it first: 1.1 s of it were read in 0.3 s
 WINDOW_S = 10.0  # a stream that is later than it was for this long is late no more: its way has become longer
 
 

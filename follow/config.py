@@ -24,7 +24,7 @@ class CameraConfig:
 
     fov_deg: float = 70.0  # horizontal; common FPV and action cameras, undistorted, lie between 60 and 90
     down_deg: float = 30.0  # optical axis below the nose: 10 m up, the middle of the picture is 17 m ahead
-    delay_s: float = 0.0  # a device's or stream's, from exposure to arrival; USB, H.264 and radio take 0.03 to 0.2 s
+    delay_s: float = 0.0  # a device's or stream's, from exposure to arrival; RTSP on one machine: 0.01 JPEG, 0.05 H.264
 
     def __post_init__(self) -> None:
         if not 1 <= self.fov_deg <= 170:
