@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 
 import pytest
+from machine import LateError
 from mavsdk import ComponentType, Configuration, Mavsdk
 from mavsdk.plugins.action import Action
 from mavsdk.plugins.offboard import Offboard, VelocityBodyYawspeed
@@ -44,7 +45,8 @@ def until(what: str, done: Callable[[], bool], seconds: float = 20.0) -> None:
     """Wait for something that happens in another process."""
     end = time.monotonic() + seconds
     while not done():
-        assert time.monotonic() < end, f"not {what} within {seconds} s"
+        if time.monotonic() > end:
+            raise LateError(f"not {what} within {seconds} s")
         time.sleep(0.02)
 
 

@@ -8,6 +8,7 @@ import contextlib
 import math
 import select
 import socket
+import statistics
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -15,6 +16,7 @@ from dataclasses import dataclass
 
 import pytest
 from autopilot_pair import CONTROL, HOLD, STEP_S, Pair
+from machine import against_the_clock
 from pymavlink.dialects.v20 import common as dialect
 
 from follow.link import Link
@@ -146,16 +148,19 @@ def test_a_pretended_flight_is_obeyed_and_ends_in_hover(name, autopilot):
 def test_a_link_tells_finite_states_whose_time_never_runs_back_and_takes_finite_setpoints(opened):
     with opened(Autopilot.ARDUPILOT) as rig:
         before = rig.link.state()
+        took_s = []
         for _ in range(20):
             rig.pass_time(0.02)
             began_s = time.perf_counter()
             state = rig.link.state()
-            assert time.perf_counter() - began_s < 0.1
+            took_s.append(time.perf_counter() - began_s)
             assert state.t_s >= before.t_s
             before = state
+        assert statistics.median(took_s) < 0.1, "it does not wait for anything; a single one may be interrupted"
         numbers = (getattr(state, name) for name in VehicleState.__slots__)
         assert all(math.isfinite(value) for value in numbers if isinstance(value, float))
-        assert state.t_s - state.attitude_t_s < 0.5
+        with against_the_clock():
+            assert state.t_s - state.attitude_t_s < 0.5
         assert state.down_m == pytest.approx(-10.0, abs=0.2)
         assert state.armed
         assert not state.landed
@@ -170,12 +175,13 @@ def test_a_flight_over_a_link_is_obeyed_and_ends_in_hover(opened_by_mavlink, aut
         rig.stream(0.3, HOVER)
         assert rig.mode() == before  # never unasked
         rig.take_control()
-        state = rig.stream(8.0, HOVER, lambda state: state.in_control)
-        assert rig.mode() == CONTROL[autopilot]
-        assert state.in_control
-        assert state.mode == state.commanded_mode == CONTROL[autopilot]
-        state = rig.stream(8.0, Setpoint(forward_m_s=1.0), lambda state: state.body_velocity_m_s()[0] > 0.5)
-        assert state.body_velocity_m_s()[0] > 0.5
+        with against_the_clock():  # a stream with a hole in it is not obeyed, and should not be
+            state = rig.stream(8.0, HOVER, lambda state: state.in_control)
+            assert rig.mode() == CONTROL[autopilot]
+            assert state.in_control
+            assert state.mode == state.commanded_mode == CONTROL[autopilot]
+            state = rig.stream(8.0, Setpoint(forward_m_s=1.0), lambda state: state.body_velocity_m_s()[0] > 0.5)
+            assert state.body_velocity_m_s()[0] > 0.5
     assert rig.mode() == HOLD[autopilot]
 
 
@@ -190,7 +196,8 @@ def test_an_exception_in_flight_still_ends_in_hover():
     with contextlib.suppress(ZeroDivisionError), over_udp(Autopilot.ARDUPILOT) as rig:
         rig.take_control()
         rig.stream(8.0, HOVER, lambda state: state.in_control)
-        assert rig.mode() == "GUIDED"
+        with against_the_clock():
+            assert rig.mode() == "GUIDED"
         _ = 1 / 0
     assert rig.mode() == "BRAKE"
 
