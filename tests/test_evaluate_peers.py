@@ -10,7 +10,7 @@ from racf.evaluate.trackers import OPENCV, TrackerSpec, opencv_has
 
 
 def walk(name: str, frames: int = 12) -> list[Box]:
-    cv2.setRNGSeed(0)  # MIL draws its features
+    cv2.setRNGSeed(0)  # as the runner does
     truth = rendered.path_of_target(frames) - [1, 1, 0, 0]
     tracker = TrackerSpec.parse(name).build()
     tracker.init(rendered.picture(*truth[0]), Box(*truth[0]))
@@ -28,6 +28,10 @@ def test_opencvs_trackers_stay_on_the_target_and_refinement_does_not_make_them_w
     )
     assert plain.min() > 0
     assert refined.mean() > plain.mean() - 0.02
+
+
+def test_mil_finds_the_same_boxes_again_in_the_same_process():
+    assert walk("mil") == walk("mil")
 
 
 def test_what_opencv_lacks_is_said_when_it_is_built():

@@ -4,8 +4,10 @@
 the installed OpenCV has them.  Settings may follow the name: `racf,robust`, `bacf,refine,admm_iterations=3`.
 """
 
+import ctypes
 import hashlib
 import math
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from importlib.metadata import version
@@ -85,6 +87,10 @@ def _source_digest() -> str:
     return digest.hexdigest()
 
 
+# MIL draws its features with C's rand(), whose state is the process's: else a result depends on what ran before.
+_C = ctypes.CDLL("ucrtbase" if sys.platform == "win32" else None)
+
+
 class Peer:
     """One of OpenCV's trackers, as it comes, with or without the scale refinement behind it.
 
@@ -100,7 +106,8 @@ class Peer:
         self._box = Box(0, 0, 1, 1)
 
     def init(self, image: NDArray[np.uint8], box: Box) -> Track:
-        """Start on `box`, rounded to whole pixels."""
+        """Start on `box`, rounded to whole pixels; MIL with the same random features each time."""
+        _C.srand(0)
         self._tracker.init(image, (round(box.x), round(box.y), round(box.w), round(box.h)))
         self._box = box
         return self._track(True)
