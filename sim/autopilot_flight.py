@@ -82,7 +82,7 @@ class Flight(ABC):
         self._landed_t_s = motion.t_s
         self._point = (motion.north_m, motion.east_m, motion.down_m)
         self._climb_to_m = 0.0
-        self._fenced = False
+        self.beyond_fence = False
         self._battery_told = False
 
     def advance(self, t_s: float) -> None:
@@ -154,10 +154,10 @@ class Flight(ABC):
             self.armed = False
         distance_m = math.hypot(motion.north_m - self.home[0], motion.east_m - self.home[1])
         outside = self.armed and self._outside_fence(distance_m, -motion.down_m)
-        if outside and not self._fenced and (mode := self._fence_mode()):
+        if outside and not self.beyond_fence and (mode := self._fence_mode()):
             self.texts.append("Geofence exceeded" if self.autopilot is Autopilot.PX4 else "Fence Breached")
             self.enter(mode)
-        self._fenced = outside
+        self.beyond_fence = outside
         if self.armed and not self._battery_told and self._battery_low():
             self._battery_told = True
             self.texts.append("Low battery")

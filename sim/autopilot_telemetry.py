@@ -113,7 +113,9 @@ def _extended_sys_state(flight: Flight, _t_s: float) -> Message:
 def _sys_status(flight: Flight, _t_s: float) -> Message:
     percent = round(100 * flight.battery)
     battery = round(1000 * (10.5 + 2.1 * flight.battery)), 1200, percent
-    return dialect.MAVLink_sys_status_message(ALL_SENSORS, ALL_SENSORS, ALL_SENSORS, 300, *battery, 0, 0, 0, 0, 0, 0)
+    # A ground station takes a fence that is not healthy for one that was crossed, be it set or not.
+    healthy = ALL_SENSORS if flight.beyond_fence else ALL_SENSORS | dialect.MAV_SYS_STATUS_GEOFENCE
+    return dialect.MAVLink_sys_status_message(ALL_SENSORS, ALL_SENSORS, healthy, 300, *battery, 0, 0, 0, 0, 0, 0)
 
 
 def _battery_status(flight: Flight, _t_s: float) -> Message:

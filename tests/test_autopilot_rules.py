@@ -75,8 +75,14 @@ class Bench:
         c, s = math.cos(m.yaw_rad), math.sin(m.yaw_rad)
         return c * m.north_m_s + s * m.east_m_s, c * m.east_m_s - s * m.north_m_s, m.down_m_s
 
+    def heard_last(self, kind: str):
+        return next(m for m in reversed(self.heard) if m.get_type() == kind)
+
+    def healthy(self) -> int:
+        return self.heard_last("SYS_STATUS").onboard_control_sensors_health
+
     def mode_in_heartbeat(self) -> int:
-        return next(m.custom_mode for m in reversed(self.heard) if m.get_type() == "HEARTBEAT")
+        return self.heard_last("HEARTBEAT").custom_mode
 
 
 @pytest.mark.parametrize("frame", [1, 8])
@@ -305,15 +311,18 @@ def test_sticks_break_offboard_only_with_bit_1_of_com_rc_override(override, mode
         (ARDUPILOT, {"FENCE_ENABLE": 1, "FENCE_RADIUS": 10.0, "FENCE_ACTION": 4}, "BRAKE"),
     ],
 )
-def test_a_fence_takes_the_vehicle_over(autopilot, fence, mode):
+def test_a_fence_takes_the_vehicle_over_and_is_told_as_crossed(autopilot, fence, mode):
     bench = Bench(autopilot, **fence).under_control()
     bench.stream(4.0, x=2.0)
     assert bench.flight.mode == CONTROL[autopilot]
+    assert bench.healthy() & dialect.MAV_SYS_STATUS_GEOFENCE
     for _ in range(100):
         bench.stream(0.1, x=2.0)
         if bench.flight.mode != CONTROL[autopilot]:
             break
     assert bench.flight.mode == mode
+    bench.stream(1.1)
+    assert not bench.healthy() & dialect.MAV_SYS_STATUS_GEOFENCE
 
 
 @pytest.mark.parametrize(("autopilot", "name"), [(PX4, "COM_LOW_BAT_ACT"), (ARDUPILOT, "BATT_FS_LOW_ACT")])
