@@ -16,7 +16,7 @@ from follow.doctor import Finding, Verdict, check_disk, check_signing, check_tim
 from follow.link import Link
 from follow.live import NewPictures
 from follow.loop import Safety, Servo, Target, Tracker, follow
-from follow.messages import HOVER, NEVER, Estimate, Tick
+from follow.messages import HOVER, NEVER, Estimate, Order, Tick
 from follow.modes import Mode
 from follow.operator import Keys, Operator, Report, signals
 from follow.pymavlink_link import MavlinkLink
@@ -107,6 +107,8 @@ def fly(
         finally:
             service.stopping()
             operator.report(f"leaving ({why}): ramping down")
+            if operator.mode is Mode.ENGAGE:
+                p.safety.order(Order.OBSERVE)  # nothing to ramp yet, and nobody is to take the vehicle any more
             for tick in ramping_down(p.link, p.safety, pause):
                 record(tick)
                 operator.see(tick)

@@ -3,6 +3,9 @@
 import math
 from dataclasses import dataclass
 
+OBEYED = 0.1
+"""An output counts as carried out within this share of its limit: an autopilot's lag and gusts are smaller."""
+
 
 @dataclass(frozen=True, slots=True)
 class Gains:
@@ -32,14 +35,16 @@ class Pid:
 
     gains: Gains
     integral: float = 0.0
+    output: float = 0.0
     measured: float | None = None
     rate: float = 0.0
 
-    def update(self, error: float, measurement: float, dt_s: float) -> float:
+    def update(self, error: float, measurement: float, dt_s: float, flown: float | None = None) -> float:
         """The output for this error (wanted minus measured), `dt_s` after the last one.
 
-        A step without time (dt <= 0) neither integrates nor differentiates.  Anti-windup: the integral stays when the
-        output is at its limit and the error would push it further out (conditional integration).
+        A step without time (dt <= 0) neither integrates nor differentiates.  Anti-windup (conditional integration):
+        the integral stays when the output is at its limit and the error would push it further out, and while `flown`,
+        what really comes of the output, is not about the last output: what is not carried out is not to be made up for.
         """
         g = self.gains
         if dt_s > 0:
@@ -47,12 +52,14 @@ class Pid:
                 self.rate += (measurement - self.measured - self.rate * dt_s) / (g.filter_s + dt_s)
             self.measured = measurement
         free = g.kp * error + self.integral - g.kd * self.rate
-        if dt_s > 0 and (abs(free) < g.limit or free * error * g.ki < 0):
+        obeyed = flown is None or abs(flown - self.output) <= OBEYED * g.limit
+        if dt_s > 0 and obeyed and (abs(free) < g.limit or free * error * g.ki < 0):
             step = g.ki * error * dt_s
             self.integral += step
             free += step
-        return min(max(free, -g.limit), g.limit)
+        self.output = min(max(free, -g.limit), g.limit)
+        return self.output
 
     def reset(self) -> None:
         """Forget the past."""
-        self.integral, self.measured, self.rate = 0.0, None, 0.0
+        self.integral, self.output, self.measured, self.rate = 0.0, 0.0, None, 0.0

@@ -63,20 +63,27 @@ class Servo:
     yaw: Pid = field(init=False)
     climb: Pid = field(init=False)
     approach: Pid = field(init=False)
+    aside: Pid = field(init=False)  # top-down: as `approach`, to the right
     pitch_rad: float | None = None
     t_s: float = NEVER
 
     def __post_init__(self) -> None:
         c = self.config
-        self.yaw, self.climb, self.approach = Pid(c.yaw), Pid(c.climb), Pid(c.approach)
+        self.yaw, self.climb, self.approach, self.aside = Pid(c.yaw), Pid(c.climb), Pid(c.approach), Pid(c.approach)
 
     def update(self, estimate: Estimate, state: VehicleState) -> Setpoint:
-        """The velocity that would keep the estimated target where it is wanted; zero before it was ever seen."""
+        """The velocity that would keep the estimated target where it is wanted; zero before it was ever seen.
+
+        While the autopilot does not obey, nothing is integrated: how long the operator waited must not be seen later.
+        """
         dt = max(estimate.t_s - self.t_s, 0.0) if self.t_s > NEVER else 0.0
         self.t_s = estimate.t_s
         if self.pitch_rad is None:
             self.pitch_rad = state.pitch_rad
         self.pitch_rad += (state.pitch_rad - self.pitch_rad) * dt / (self.config.pitch_filter_s + dt)
+        if not state.in_control:
+            for pid in (self.yaw, self.climb, self.approach, self.aside):
+                pid.reset()
         if estimate.seen_t_s == NEVER:
             return Setpoint()
         if self.config.mode is ServoMode.TOP_DOWN:
@@ -87,8 +94,11 @@ class Servo:
         radial, sideways = self.accompany(estimate, state, along, across, dt)
         # The line of sight turns by itself when target or vehicle move across it.
         turning = (across - (c * right - s * forward)) / max(estimate.range_m, 1.0)
-        yaw_rate = self.yaw.update(estimate.azimuth_rad, -estimate.azimuth_rad, dt) + self.config.feed_forward * turning
-        return Setpoint(c * radial - s * sideways, s * radial + c * sideways, self.descend(estimate, dt), yaw_rate)
+        with_target = self.config.feed_forward * turning
+        flown = state.yaw_rate_rad_s - with_target
+        yaw_rate = self.yaw.update(estimate.azimuth_rad, -estimate.azimuth_rad, dt, flown) + with_target
+        down = self.descend(estimate, state, dt)
+        return Setpoint(c * radial - s * sideways, s * radial + c * sideways, down, yaw_rate)
 
     def accompany(
         self, estimate: Estimate, state: VehicleState, along: float, across: float, dt: float
@@ -98,7 +108,10 @@ class Servo:
         if c.mode is ServoMode.CENTRE:
             return 0.0, 0.0
         error = estimate.range_m - c.standoff_m
-        radial = self.approach.update(error, -estimate.range_m, dt) + c.feed_forward * along
+        forward, right, _ = state.body_velocity_m_s()
+        flown = math.cos(estimate.azimuth_rad) * forward + math.sin(estimate.azimuth_rad) * right
+        with_target = c.feed_forward * along
+        radial = self.approach.update(error, -estimate.range_m, dt, flown - with_target) + with_target
         if c.mode is ServoMode.ORBIT:
             return radial, c.orbit_m_s + c.feed_forward * across
         if c.mode is ServoMode.PROFILE and math.hypot(along, across) > c.course_m_s:
@@ -108,12 +121,12 @@ class Servo:
             return radial, min(max(swing, -c.abeam_m_s), c.abeam_m_s) + c.feed_forward * across
         return radial, 0.0
 
-    def descend(self, estimate: Estimate, dt: float) -> float:
+    def descend(self, estimate: Estimate, state: VehicleState, dt: float) -> float:
         """Downward speed that brings the target to the picture's middle row, at the pitch now flown."""
         pitch = self.pitch_rad or 0.0
         wanted = math.tan(min(max(self.down_rad - pitch, 0.0), STEEPEST_RAD))
         too_high_m = estimate.range_m * (math.tan(min(estimate.depression_rad, STEEPEST_RAD)) - wanted)
-        return -self.climb.update(-too_high_m, too_high_m, dt)
+        return -self.climb.update(-too_high_m, too_high_m, dt, -state.down_m_s)
 
     def above(self, estimate: Estimate, state: VehicleState, dt: float) -> Setpoint:
         """Fly so that the optical axis meets the target, heading and height kept."""
@@ -122,12 +135,14 @@ class Servo:
         ahead = height / math.tan(max(self.down_rad - state.pitch_rad, 0.2))
         ahead_m = estimate.range_m * math.cos(estimate.azimuth_rad) - ahead
         right_m = estimate.range_m * math.sin(estimate.azimuth_rad)
-        distance = math.hypot(ahead_m, right_m)
-        speed = self.approach.update(distance, -distance, dt) / max(distance, 1e-6)
+        forward, right, _ = state.body_velocity_m_s()
         co, si = math.cos(state.yaw_rad), math.sin(state.yaw_rad)
-        flown_forward = c.feed_forward * (co * estimate.north_m_s + si * estimate.east_m_s)
-        flown_right = c.feed_forward * (co * estimate.east_m_s - si * estimate.north_m_s)
-        return Setpoint(speed * ahead_m + flown_forward, speed * right_m + flown_right)
+        with_forward = c.feed_forward * (co * estimate.north_m_s + si * estimate.east_m_s)
+        with_right = c.feed_forward * (co * estimate.east_m_s - si * estimate.north_m_s)
+        return Setpoint(
+            self.approach.update(ahead_m, -ahead_m, dt, forward - with_forward) + with_forward,
+            self.aside.update(right_m, -right_m, dt, right - with_right) + with_right,
+        )
 
 
 def sight_components(estimate: Estimate, yaw_rad: float) -> tuple[float, float]:

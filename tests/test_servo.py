@@ -55,6 +55,43 @@ def test_a_target_crossing_to_the_right_turns_right_at_the_rate_of_its_bearing()
     assert wish(crossing).yaw_rate_rad_s == pytest.approx(2 / CONFIG.standoff_m)
 
 
+def watched_for(seconds, **state):
+    """A servo that has seen a target 3 m too far for so long, and its wish now."""
+    servo = Servo(DOWN)
+    for n in range(round(seconds / 0.05)):
+        t_s = 0.05 * n
+        seen = Estimate(t_s, 0.0, DOWN, CONFIG.standoff_m + 3.0, 0.5, seen_t_s=t_s)
+        out = servo.update(seen, VehicleState(t_s=t_s, **state))
+    return out
+
+
+def test_how_long_it_waited_for_the_order_is_not_seen_in_the_wish():
+    waited, came = watched_for(300.0, in_control=False), watched_for(0.1, in_control=False)
+    assert waited.forward_m_s == pytest.approx(came.forward_m_s)
+
+
+def test_a_wish_that_is_not_flown_does_not_grow_without_end():
+    held = watched_for(300.0, in_control=True).forward_m_s  # as in HOLD, or at the fence
+    assert held <= CONFIG.approach.kp * 3.0 + 0.1 * CONFIG.approach.limit
+    flown = watched_for(300.0, in_control=True, north_m_s=CONFIG.approach.kp * 3.0 + 0.5).forward_m_s
+    assert flown > CONFIG.approach.kp * 3.0 + 0.8  # obeyed, and yet no nearer: that is what the integral is for
+
+
+@pytest.mark.parametrize("mode", list(ServoMode))
+def test_a_target_about_its_place_for_long_leaves_nothing_behind(mode):
+    servo, turned = Servo(math.radians(60), ServoConfig(mode=mode, orbit_m_s=0.0)), 0.0
+    range_m = 10.0 / math.tan(math.radians(60)) if mode is ServoMode.TOP_DOWN else CONFIG.standoff_m
+    depression = math.radians(60)
+    for n in range(6000):
+        t_s, turned = 0.05 * n, turned + 2.4  # a bit off to all sides in turn
+        off = Estimate(t_s, 0.02 * math.cos(turned), depression, range_m + 0.3 * math.sin(turned), 0.5, seen_t_s=t_s)
+        out = servo.update(off, VehicleState(t_s=t_s, in_control=True))
+    calm = servo.update(
+        Estimate(t_s, 0.0, depression, range_m, 0.5, seen_t_s=t_s), VehicleState(t_s=t_s, in_control=True)
+    )
+    assert math.hypot(calm.forward_m_s, calm.right_m_s) < 0.02, out
+
+
 def test_a_target_never_seen_asks_for_nothing():
     assert Servo(DOWN).update(Estimate(0.0, 1.0, 0.0, 50.0, 1.0, seen_t_s=NEVER), STATE) == Setpoint()
 
