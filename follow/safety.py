@@ -6,7 +6,7 @@
 import math
 from dataclasses import dataclass, field, replace
 
-from follow.bounds import bounded
+from follow.bounds import apart, banded, bounded
 from follow.geometry import wrap
 from follow.limiter import Rate, Velocity
 from follow.limits import Limits
@@ -123,13 +123,20 @@ def clipped(value: float, largest: float) -> float:
     return min(max(value, -largest), largest)
 
 
-def begun(gate: Gate, state: VehicleState, limits: Limits) -> Gate:
-    """The gate as streaming begins: ramps start at the present velocity, the fence is centred here."""
-    over = max(math.hypot(state.north_m_s, state.east_m_s) / limits.speed_m_s, 1.0)
+def begun(gate: Gate, estimate: Estimate, state: VehicleState, limits: Limits) -> Gate:
+    """The gate as streaming begins: ramps start at the present velocity, the fence is centred here.
+
+    The present velocity is not to be kept up into the ground or the target: stand-off and altitude limit it, too.
+    """
+    forward, right, _ = state.body_velocity_m_s()
+    over = max(math.hypot(forward, right) / limits.speed_m_s, 1.0)
+    forward, right = apart(forward / over, right / over, estimate, state, limits)
+    c, s = math.cos(state.yaw_rad), math.sin(state.yaw_rad)
+    down = banded(clipped(state.down_m_s, limits.climb_m_s), estimate, state, limits)
     return replace(
         gate,
-        horizontal=Velocity((state.north_m_s / over, state.east_m_s / over)),
-        down=Velocity((min(max(state.down_m_s, -limits.climb_m_s), limits.climb_m_s),)),
+        horizontal=Velocity((c * forward - s * right, s * forward + c * right)),
+        down=Velocity((down,)),
         yaw=Rate(min(max(state.yaw_rate_rad_s, -limits.yaw_rate_rad_s), limits.yaw_rate_rad_s)),
         start_north_m=state.north_m,
         start_east_m=state.east_m,
@@ -154,7 +161,7 @@ def decide(
         mode = Mode.ENDED  # without a heading no direction can be sent, not even zero turned into the body's axes
     fresh = not old and math.isfinite(unseen_s)
     if mode in STREAMING and (gate.mode not in STREAMING or (mode is Mode.ENGAGE and fresh)):
-        gate, dt = begun(gate, state, limits), 0.0
+        gate, dt = begun(gate, estimate, state, limits), 0.0
     green_t_s = t_s if Event.CHECKS_GREEN in found else gate.green_t_s
     gate = remembered(replace(gate, mode=mode, t_s=t_s, since_s=since_s, green_t_s=green_t_s), limits)
     if mode not in STREAMING:

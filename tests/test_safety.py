@@ -130,6 +130,28 @@ def test_the_first_setpoint_is_the_present_velocity():
     assert first.yaw_rate_rad_s == pytest.approx(0.1)
 
 
+@pytest.mark.parametrize(("height", "sink"), [(LIMITS.floor_m + 0.2, 2.0), (LIMITS.floor_m - 0.5, 1.0)])
+def test_engaging_does_not_keep_up_a_descent_through_the_floor(height, sink):
+    safety = Safety(LIMITS)
+    safety.order(Order.FOLLOW)
+    sinking = fly(safety, 0.0, 2.0, HOVER, in_control=False, down_m=-height, down_m_s=sink)
+    sent = [d.setpoint.down_m_s for d in sinking if d.setpoint]
+    assert sent
+    assert max(sent) <= max((height - LIMITS.floor_m) / 1.5, 0.0) + 1e-9
+
+
+def test_engaging_does_not_keep_up_a_rush_at_the_target():
+    safety = Safety(LIMITS)
+    safety.order(Order.FOLLOW)
+    for n in range(60):
+        t_s = n * DT
+        state = flying(t_s, in_control=False, down_m=-2.0, north_m_s=4.0)
+        near = Estimate(t_s, 0.0, 0.4, LIMITS.standoff_m, 0.1, seen_t_s=t_s)
+        decision = safety.allow(HOVER, near, state, t_s)
+        assert decision.setpoint is None or decision.setpoint.forward_m_s <= 0.0
+    assert decision.mode == "engage"
+
+
 def test_an_autopilot_that_does_not_obey_is_left_in_peace():
     safety = Safety(LIMITS)
     safety.order(Order.FOLLOW)
