@@ -58,10 +58,14 @@ class TelemetryRates:
 
 @dataclass(slots=True)
 class _Ask:
-    """A mode asked for: repeated while nobody answers and the vehicle stays in the mode that it was asked in."""
+    """A mode asked for: repeated while nobody answers and the vehicle stays in one of `from_modes`.
+
+    Only a heartbeat later than `told_t_s` says anything of it.
+    """
 
     mode: str
-    from_mode: str
+    from_modes: tuple[str, ...]
+    told_t_s: float
     times: int = 0
     next_t_s: float = NEVER
     first_t_s: float = NEVER
@@ -233,7 +237,10 @@ class MavlinkClient:
 
     def _begin(self, mode: str) -> None:
         self._commanded_mode = mode
-        self._ask = _Ask(mode, from_mode=self._vehicle.state.mode)
+        now = self._vehicle.state
+        # PX4 tells a mode up to 1 s late: when Hold is asked for, the mode that obeys us may be yet to be told.
+        from_modes = (now.mode,) if mode == self._names().control else (now.mode, self._names().control)
+        self._ask = _Ask(mode, from_modes, told_t_s=now.heartbeat_t_s)
 
     def _pursue(self, ask: _Ask, t_s: float) -> None:
         """Send the request when it may be sent; drop it when it was answered in vain or the vehicle moved on."""
@@ -251,18 +258,19 @@ class MavlinkClient:
         self.heard.answers.pop(dialect.MAV_CMD_DO_SET_MODE, None)
         custom = dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
         self.command(dialect.MAV_CMD_DO_SET_MODE, custom, *mode_params(autopilot, ask.mode))
-        ask.first_t_s = t_s if ask.times == 0 else ask.first_t_s
+        if ask.times == 0:
+            ask.first_t_s, ask.told_t_s = t_s, self._vehicle.state.heartbeat_t_s
         ask.times += 1
         ask.next_t_s = t_s + ASK_AGAIN_S
 
     def _judge_control(self) -> None:
         """Compare the vehicle's mode with the one that we asked for."""
-        mode = self._vehicle.state.mode
-        if self._ask is not None:
-            if mode == self._ask.mode and self._ask.times:
+        mode, ask = self._vehicle.state.mode, self._ask
+        if ask is not None and self._vehicle.state.heartbeat_t_s > ask.told_t_s:
+            if mode == ask.mode and ask.times:
                 self._in_control = mode == self._names().control
                 self._ask = None
-            elif mode != self._ask.from_mode:
+            elif mode not in ask.from_modes:
                 self._ask = None  # somebody chose another mode meanwhile: theirs counts
         if self._in_control and (mode != self._names().control or not self._vehicle.state.armed):
             self._in_control = False  # after a disarm, too, it is not ours again without an order

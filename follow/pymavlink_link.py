@@ -89,8 +89,11 @@ class MavlinkLink:
                 t_s, data, source = self._arrived.get_nowait()
             except Empty:
                 break
+            refused = self.client.packets.refused
             found = self.client.receive(data, t_s, self._wire.datagrams)
-            if any(self.client.is_from_vehicle(message) for message in found):
+            # A vehicle whose signing clock is behind ours is refused until it has heard ours.
+            is_unheard = self.client.vehicle_id is None and self.client.packets.refused > refused
+            if is_unheard or any(self.client.is_from_vehicle(message) for message in found):
                 self._wire.answer_to(source)
             if self._tlog is not None:
                 unix_s = time.time() - (time.monotonic() - t_s)

@@ -18,7 +18,10 @@ log = logging.getLogger(__name__)
 KEY_BYTES = 32
 EPOCH_S = 1_420_070_400  # 2015-01-01 00:00 UTC in Unix time
 UNITS_PER_S = 100_000  # of 10 us
-SAVE_EVERY = 60 * UNITS_PER_S  # the stored time runs ahead by this much, so that a crash cannot make it repeat
+# The stored time runs ahead, so that a crash cannot make it repeat: of the clock by so much, or of the last packet by so
+# many, each of which is a unit later than the one before.  A vehicle takes a stream that is a minute off for a replay.
+SAVE_EVERY = 10 * UNITS_PER_S
+SAVE_PACKETS = 10_000
 
 
 class Signing:
@@ -47,7 +50,7 @@ class Signing:
         now = int((time.time() - EPOCH_S) * UNITS_PER_S)
         mav.signing.timestamp = max(mav.signing.timestamp, now, self._floor)
         if mav.signing.timestamp >= self._saved:
-            self._saved = mav.signing.timestamp + SAVE_EVERY
+            self._saved = max(now + SAVE_EVERY, mav.signing.timestamp + SAVE_PACKETS)
             try:
                 _write_time(self._time_path, self._saved)
             except OSError as error:  # a full disk must not end a flight; the clock will be right after a restart

@@ -69,13 +69,17 @@ class VehicleReports:
         source = message.get_srcSystem(), message.get_srcComponent()
         if isinstance(message, dialect.MAVLink_heartbeat_message):
             self._meet(message, source)
-        elif kind in SETPOINT_TYPES:
+        elif kind in SETPOINT_TYPES and self._is_for_vehicle(message):
             self.heard.steering[source] = t_s
         if source != (self.system_id, AUTOPILOT):
             return
         self.heard.counts[kind] += 1
         if take := getattr(self, f"_take_{kind.lower()}", None):
             take(message, t_s)
+
+    def _is_for_vehicle(self, message: Message) -> bool:
+        target = getattr(message, "target_system", getattr(message, "target", 0))  # MANUAL_CONTROL's is `target`
+        return self.system_id is None or target in (0, self.system_id)
 
     def _meet(self, message: dialect.MAVLink_heartbeat_message, source: tuple[int, int]) -> None:
         if message.type == dialect.MAV_TYPE_ONBOARD_CONTROLLER and source[1] != AUTOPILOT:

@@ -99,7 +99,7 @@ class UdpWire:
         return True
 
     def answer_to(self, source: Source) -> None:
-        """A stray sender does not become the addressee: the caller names who does."""
+        """The caller names the addressee, so that a stray sender does not become it."""
         self._peer = source
 
     def close(self) -> None:

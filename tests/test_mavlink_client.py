@@ -316,3 +316,41 @@ def test_a_simulated_autopilot_that_does_not_keep_real_time_is_not_taken_for_sta
     for _ in range(100):
         pair.run(0.1)
         assert pair.t_s - pair.state.attitude_t_s < 0.1  # the gate's limit
+
+
+@BOTH
+@pytest.mark.parametrize("after_s", [0.1, 0.4, 0.7, 1.0])
+@pytest.mark.parametrize("before", [{Autopilot.PX4: "POSCTL", Autopilot.ARDUPILOT: "LOITER"}, HOLD])
+def test_hold_is_asked_again_until_a_later_heartbeat_tells_it(autopilot, after_s, before):
+    pair = Pair(autopilot)
+    pair.run(2.0)
+    pair.system.flight.enter(before[autopilot])
+    pair.run(1.2)
+    pair.setpoint = HOVER
+    pair.client.take_control()
+    while pair.system.flight.mode != CONTROL[autopilot]:
+        pair.run(0.02)
+    pair.run(after_s)
+    lost: list[bytes] = []
+
+    def lose_the_first(packets: list[bytes]) -> list[bytes]:
+        asked = [p for p in packets if int.from_bytes(p[7:10], "little") == 76 and p[10 + 28] == 176]
+        if asked and not lost:
+            lost.extend(asked)
+            return [p for p in packets if p not in asked]
+        return packets
+
+    pair.to_autopilot = lose_the_first
+    pair.setpoint = None
+    pair.run(3.0)
+    assert lost
+    assert pair.system.flight.mode == HOLD[autopilot]
+
+
+def test_who_steers_another_vehicle_is_no_second_sender():
+    pair = Pair(Autopilot.PX4)
+    pair.run(2.0)
+    mav = dialect.MAVLink(None, 2, 191)
+    other = mav.set_position_target_local_ned_encode(0, 2, 1, 8, 0x05C7, *(0.0,) * 11).pack(mav)
+    pair.client.receive(other, pair.t_s)
+    assert not pair.client.heard.steering

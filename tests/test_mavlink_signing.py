@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import common as dialect
 
 from follow.messages import HOVER, Autopilot
 from follow.packets import Packets
-from follow.signing import Signing, read_key
+from follow.signing import EPOCH_S, UNITS_PER_S, Signing, read_key
 
 KEY = bytes(range(32))
 
@@ -115,3 +115,12 @@ def test_a_time_that_cannot_be_kept_stops_the_start_and_not_the_flight(tmp_path,
     assert "No space left" in caplog.text
     with pytest.raises(OSError, match="No space left"):
         Signing(key)
+
+
+def test_many_restarts_leave_the_time_within_the_minute_that_a_vehicle_allows(tmp_path, monkeypatch):
+    key = key_file(tmp_path)
+    now = 1.8e9
+    monkeypatch.setattr("time.time", lambda: now)
+    stamps = [signed_at(Packets(1, 191, Signing(key))) for _ in range(50)]
+    assert stamps == sorted(set(stamps))
+    assert stamps[-1] < (now - EPOCH_S + 30.0) * UNITS_PER_S

@@ -10,7 +10,12 @@ import pytest
 from pymavlink.dialects.v20 import common as dialect
 
 from follow import wire
+from follow.messages import Autopilot
 from follow.packets import Packets
+from follow.pymavlink_link import MavlinkLink
+from follow.signing import Signing
+from sim.autopilot_system import AutopilotSystem
+from sim.dynamics import Motion, Vehicle
 
 PACKET = dialect.MAVLink(None, 1, 1).heartbeat_encode(2, 12, 1, 0, 4).pack(dialect.MAVLink(None, 1, 1))
 
@@ -104,3 +109,25 @@ def test_a_false_beginning_in_a_datagram_does_not_hide_the_packet_behind_it():
 def test_a_speed_that_no_line_knows_is_named(baud):
     with pytest.raises(RuntimeError, match="not a speed"):
         wire.open_wire(f"serial:/dev/null:{baud}")
+
+
+def test_a_vehicle_whose_signing_clock_is_behind_is_spoken_to_and_then_understood(tmp_path):
+    key = tmp_path / "key"
+    key.write_bytes(bytes(range(32)))
+    key.chmod(0o600)
+    system = AutopilotSystem(Autopilot.PX4, Vehicle(Autopilot.PX4, Motion(down_m=-10.0)), key=key.read_bytes())
+    ours = wire.UdpWire("127.0.0.1", 0, listens=True)
+    theirs = wire.UdpWire("127.0.0.1", ours.port, listens=False)
+    began = time.monotonic()
+    with MavlinkLink(ours, signing=Signing(key)) as link:
+        while link.client.vehicle_id is None and time.monotonic() - began < 10.0:
+            system.step(time.monotonic() - began)
+            for packet in system.take():
+                theirs.write(packet)
+            link.pump()
+            data, _ = theirs.read(0.01)
+            if data:
+                system.receive(data)
+        assert link.client.packets.refused > 0
+        assert link.client.vehicle_id == 1
+    theirs.close()
