@@ -1,6 +1,7 @@
 """`follow run`: a real camera or a drawn scene, and a vehicle behind a MAVLink connection."""
 
 import logging
+import signal
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -83,6 +84,8 @@ def scene_eye(command: Run, link: Link) -> Eye:
 def fly_live(command: Run) -> None:
     """`follow run`."""
     terminal = Terminal()
+    # Until there is a flight to order, the signal must not do what it does by default: kill.
+    signal.signal(signal.SIGUSR1, lambda _number, _frame: terminal.report("not ready yet: SIGUSR1 orders nothing"))
     spoken = Spoken(terminal.report)
     log = logging.getLogger("follow")
     log.addHandler(spoken)

@@ -65,9 +65,10 @@ class Remote:
     def stick_moved(self, channels: tuple[int, ...], flying: bool) -> bool:
         """Whether a stick has left the place where it was when FOLLOW began (a throttle rests at its lower end)."""
         sticks = channels[:STICKS]
-        if not flying or len(sticks) < STICKS or any(pwm not in PWM for pwm in sticks):
+        if not flying:
             self.sticks = None
-            return False
+        if not flying or len(sticks) < STICKS or any(pwm not in PWM for pwm in sticks):
+            return False  # a remote that is not heard for a while has rested where it did before
         if self.sticks is None:
             self.sticks = sticks
         return any(abs(now - before) > STICK_US for now, before in zip(sticks, self.sticks, strict=True))
@@ -174,6 +175,8 @@ def signals(operator: Operator) -> Generator[None, None, None]:
         operator.order(Order.FOLLOW)
 
     def end(number: int, _frame: FrameType | None) -> None:
+        if number == signal.SIGHUP and operator.leaving:
+            return  # a shell passes on what the terminal has told already
         operator.leave("Ctrl-C" if number == signal.SIGINT else signal.Signals(number).name)
 
     new = {signal.SIGUSR1: usr1, signal.SIGINT: end, signal.SIGTERM: end, signal.SIGHUP: end}
@@ -199,13 +202,18 @@ class Keys:
 
     def __exit__(self, *_error: object) -> None:
         if self._file is not None and self._before is not None:
-            termios.tcsetattr(self._file, termios.TCSADRAIN, self._before)
+            with contextlib.suppress(termios.error):  # the terminal is gone
+                termios.tcsetattr(self._file, termios.TCSADRAIN, self._before)
 
     def read_into(self, operator: Operator) -> None:
         """Give the operator's side what was typed since the last call."""
         if self._file is None or not select.select([self._file], [], [], 0)[0]:
             return
-        for key in os.read(self._file, 64).decode(errors="replace").lower():
+        try:
+            typed = os.read(self._file, 64)
+        except OSError:  # the terminal is gone; SIGHUP says so, too
+            typed, self._file = b"", None
+        for key in typed.decode(errors="replace").lower():
             if key == "q":
                 operator.leave("key q")
             elif key in KEYS:

@@ -232,6 +232,7 @@ class LiveVideo(_Closing):
         if not self._video.isOpened():
             raise CameraError(f"camera {source!r} cannot be opened")
         self.size = int(self._video.get(cv2.CAP_PROP_FRAME_WIDTH)), int(self._video.get(cv2.CAP_PROP_FRAME_HEIGHT))
+        self._sized = f"{self.size[0]}x{self.size[1]}"  # the lens is known for pictures of this size
         self._fresh = threading.Condition()
         self._newest: Frame | None = None
         self._closing = threading.Event()
@@ -267,6 +268,11 @@ class LiveVideo(_Closing):
         stream = StreamClock()
         while not self._closing.is_set():
             good, image = self._video.read()
+            if good and _size(image.shape) != self._sized:
+                if not broken:
+                    self._report(f"camera {self._source!r} gives {_size(image.shape)}, not {self._sized}: not used")
+                broken = True
+                continue
             if good:
                 if broken:
                     self._report(f"camera {self._source!r} gives pictures again")

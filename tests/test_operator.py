@@ -1,5 +1,7 @@
 """Who may order FOLLOW, and what takes it back."""
 
+import os
+import pty
 import signal
 import socket
 from dataclasses import dataclass, field, replace
@@ -9,7 +11,7 @@ import pytest
 from follow.doctor import Finding, Verdict
 from follow.flight import unwaived
 from follow.messages import HOVER, Decision, Estimate, Order, Tick, VehicleState
-from follow.operator import Operator, signals
+from follow.operator import Keys, Operator, signals
 from follow.service import Service
 
 CENTRED = (1500, 1500, 1000, 1500)  # a throttle rests at its lower end
@@ -150,3 +152,33 @@ def test_a_mode_is_said_once_with_its_reasons():
     d.operator.see(tick)
     d.operator.see(replace(tick))
     assert d.lines == ["1.0 s: brake (old), vehicle in no mode"]
+
+
+def test_a_stick_held_off_its_place_is_felt_through_a_gap_of_the_remote():
+    ears = Ears(CENTRED)
+    d = desk(heard=ears)
+    assert d.be("follow") is None
+    ears.rc_channels = (0, 0, 0, 0)  # not received
+    assert d.be("follow") is None
+    ears.rc_channels = (1900, *CENTRED[1:])
+    assert d.be("follow") is Order.OBSERVE
+
+
+def test_a_terminal_that_goes_twice_leaves_once():
+    d = desk()
+    with signals(d.operator):
+        signal.raise_signal(signal.SIGHUP)
+        signal.raise_signal(signal.SIGHUP)
+        assert d.operator.leaving == "SIGHUP"
+
+
+def test_a_terminal_that_is_gone_is_no_error(monkeypatch):
+    ours, theirs = pty.openpty()
+    with open(theirs, closefd=False) as terminal:
+        monkeypatch.setattr("sys.stdin", terminal)
+        d = desk()
+        with Keys() as keys:
+            os.close(ours)
+            keys.read_into(d.operator)
+            keys.read_into(d.operator)
+        assert not d.operator.leaving

@@ -308,3 +308,34 @@ def test_pictures_that_a_network_held_up_bear_the_time_at_which_they_were_taken(
         assert len(frames) > 90
         assert held_up, "some of the backlog is read between two rounds"
         assert delays.max() - delays.min() < 0.1, "half a second and more where the time of arrival is taken"
+
+
+class Resized:
+    """A capture whose pictures have another size after the tenth, as after a camera's driver was restarted."""
+
+    def __init__(self) -> None:
+        self.count = 0
+
+    def isOpened(self) -> bool:  # noqa: N802 - OpenCV's name
+        return True
+
+    def get(self, what: int) -> float:
+        return {cv2.CAP_PROP_FRAME_WIDTH: 160.0, cv2.CAP_PROP_FRAME_HEIGHT: 120.0}.get(what, 0.0)
+
+    def read(self) -> tuple[bool, np.ndarray]:
+        time.sleep(0.002)
+        self.count += 1
+        rows, cols = (120, 160) if self.count <= 10 else (60, 80)
+        return True, np.full((rows, cols, 3), self.count, np.uint8)
+
+    def release(self) -> None: ...
+
+
+def test_pictures_of_another_size_than_the_lens_is_known_for_are_not_flown(monkeypatch):
+    monkeypatch.setattr(LiveVideo, "_open", lambda _self: Resized())
+    lines: list[str] = []
+    with LiveVideo("0", lines.append) as camera:
+        rounds = watched(camera, lambda: bool(lines))
+        rounds += [next(camera.frames()) for _ in range(3)]
+    assert {frame.image.shape for frame in rounds if frame is not None} <= {(120, 160, 3)}
+    assert lines == ["camera '0' gives 80x60, not 160x120: not used"]
