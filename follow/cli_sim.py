@@ -24,6 +24,8 @@ from sim.picture import Strip, draw
 from sim.scenarios import SCENARIOS, build
 from sim.score import Row, score
 
+OUT = Path("out/sim")
+
 
 @dataclass(frozen=True, slots=True)
 class Flight:
@@ -95,9 +97,8 @@ def sim(command: Sim) -> None:
         sim_all(command, tuple(SCENARIOS), terminal)
     else:
         autopilot = command.autopilot or Autopilot.PX4
-        flight = Flight(
-            command.scenario, command.seed, autopilot, command.tracker, command.config, command.out / command.scenario
-        )
+        out = command.out or OUT / command.scenario
+        flight = Flight(command.scenario, command.seed, autopilot, command.tracker, command.config, out)
         figures, finished = simulate(flight, terminal, bar=True)
         conclude(figures, flight.out, terminal, as_json=command.json, finished=finished)
 
@@ -112,13 +113,14 @@ def sim_all(command: Sim, scenarios: Sequence[str], terminal: Terminal) -> None:
         for autopilot in autopilots
         for seed in range(command.seed, command.seed + command.seeds)
     ]
-    flights = [replace(flight, out=command.out / flight.name) for flight in flights]
+    out = command.out or OUT
+    flights = [replace(flight, out=out / flight.name) for flight in flights]
     flown = terminal.progress(each(simulate_quietly, flights), len(flights), "sim --all", "flights")
     summaries = sorted(
         (figures for _, figures in flown), key=lambda s: (scenarios.index(s["scenario"]), s["autopilot"], s["seed"])
     )
     written = table(summaries)
-    (command.out / "all.txt").write_text(written)
+    (out / "all.txt").write_text(written)
     if command.json:
         result(summaries, as_json=True)
     else:

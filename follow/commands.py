@@ -1,5 +1,6 @@
 """What can be typed after `follow`: each command and its options, as the help shows them."""
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,6 +16,12 @@ Settings = Annotated[Config, tyro.conf.arg(name="")]
 
 TRACKER = "racf,robust"
 MARKERS = (tyro.conf.EnumChoicesFromValues,)  # px4, not PX4, is what is typed
+
+
+def require_system_id(system_id: int | None) -> None:
+    """Raise ValueError for what is no MAVLink system id."""
+    if system_id is not None and not 1 <= system_id <= 255:
+        raise ValueError(f"--system-id lies in 1..255, not {system_id}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +58,7 @@ class Sim:
     scenario: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SCENARIO")] = "walker"
     """Name of the flight."""
     seed: int = 0
-    """Of the world, the wind and the camera's noise."""
+    """Of the world, the wind and the camera's noise; 0 or more."""
     autopilot: Autopilot | None = None
     """Whose vehicle flies: px4 where not given, both with --all."""
     all: bool = False
@@ -62,13 +69,20 @@ class Sim:
     """Print the names of the scenarios."""
     tracker: str = TRACKER
     """Tracker by name, with settings: racf, racf-, racf--, bacf, arcf-hc; e.g. racf-,robust."""
-    out: Path = Path("out/sim")
-    """Folder of flight.rrd, ticks.csv, settings.toml, summary.json and flight.png."""
+    out: Path | None = None
+    """Folder of flight.rrd, ticks.csv, settings.toml, summary.json and flight.png: out/sim/SCENARIO where not given.
+    With --all: of a folder for each flight, and of all.txt (out/sim)."""
     json: bool = False
     """Print the summary (with --all: of each flight) as JSON on standard output."""
     settings: Path | None = None
     """TOML file of the settings below; what is given here stands above it (docs/service/settings.toml has them all)."""
     config: Settings = field(default_factory=Config)
+
+    def __post_init__(self) -> None:
+        if self.seed < 0:
+            raise ValueError(f"--seed is 0 or more, not {self.seed}")
+        if self.seeds < 1:
+            raise ValueError(f"--seeds is 1 or more, not {self.seeds}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,6 +123,15 @@ class Run:
     """TOML file of the settings below; what is given here stands above it (docs/service/settings.toml has them all)."""
     config: Settings = field(default_factory=Config)
 
+    def __post_init__(self) -> None:
+        require_system_id(self.system_id)
+        if self.rc_channel is not None and not 1 <= self.rc_channel <= 18:
+            raise ValueError(f"--rc-channel lies in 1..18, not {self.rc_channel}")
+        if not 0 <= self.seconds < math.inf:
+            raise ValueError(f"--seconds is 0 or more, not {self.seconds:g}")
+        if self.seed < 0:
+            raise ValueError(f"--seed is 0 or more, not {self.seed}")
+
 
 @dataclass(frozen=True, slots=True)
 class Doctor:
@@ -131,6 +154,9 @@ class Doctor:
     """Where recordings would go."""
     json: bool = False
     """Print the findings as JSON on standard output."""
+
+    def __post_init__(self) -> None:
+        require_system_id(self.system_id)
 
 
 @dataclass(frozen=True, slots=True)

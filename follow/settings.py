@@ -32,7 +32,7 @@ OPTION = "--settings"
 def settings_of(argv: Sequence[str]) -> Config:
     """The settings that the command line's file holds, or the defaults when it names none.  Raises UsageError."""
     name: str | None = None
-    for word, following in zip(argv, [*argv[1:], None], strict=True):
+    for word, following in zip(argv, [*argv, None][1:], strict=True):
         if word == OPTION:
             name = following  # None: the command line's own parser says what is missing
         elif word.startswith(f"{OPTION}="):

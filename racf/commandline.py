@@ -17,6 +17,7 @@ from racf.threads import one_core
 
 CommandT = TypeVar("CommandT")
 
+_PARSING = re.compile(r"^Error parsing \S+: ")  # before what a dataclass of ours says itself
 _FRAME = re.compile(r"[─-╿]+")  # the block of box-drawing characters
 
 
@@ -89,7 +90,7 @@ def one_line(framed: str) -> str:
         if "├" in line or (not _FRAME.sub("", line).strip() and said):  # a rule: what follows is the footer
             break
         said.append(_FRAME.sub(" ", line).strip())
-    return " ".join(" ".join(said).split())
+    return _PARSING.sub("", " ".join(" ".join(said).split()))
 
 
 def _complain(prog: str, error: object, status: int) -> int:

@@ -4,13 +4,14 @@ from collections.abc import Generator
 from contextlib import nullcontext
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 from machine import STOLEN, LateError, awake, processor_ticks, stolen
 
 from racf.threads import one_core
 
 one_core()
-settings.register_profile("laws", deadline=None)  # a law does not depend on how busy the machine is
+# A law does not depend on how busy the machine is.
+settings.register_profile("laws", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("laws")
 
 

@@ -163,11 +163,11 @@ def test_the_same_scenario_and_seed_twice_gives_the_same_bytes(capfd, brief, tmp
         status, out, err = follow(capfd, "sim", brief, "--seed", 3, "--out", tmp_path / name, "--json")
         assert status == 0, err
         summary = json.loads(out)
-    assert (tmp_path / "a/brief/ticks.csv").read_bytes() == (tmp_path / "b/brief/ticks.csv").read_bytes()
+    assert (tmp_path / "a/ticks.csv").read_bytes() == (tmp_path / "b/ticks.csv").read_bytes()
     assert summary["in_view"] == 1.0
     assert summary["violations"] == {}
     assert (summary["scenario"], summary["seed"], summary["autopilot"]) == ("brief", 3, "px4")
-    assert (tmp_path / "a/brief/flight.png").stat().st_size > 10_000
+    assert (tmp_path / "a/flight.png").stat().st_size > 10_000
 
 
 def test_the_settings_flown_with_are_recorded_and_fly_the_same_again(capfd, brief, tmp_path):
@@ -175,15 +175,15 @@ def test_the_settings_flown_with_are_recorded_and_fly_the_same_again(capfd, brie
     chosen.write_text("[servo]\nstandoff_m = 20.0\n[record]\npictures = false\n")
     words = ("sim", brief, "--limits.speed-m-s", "3", "--settings")
     assert follow(capfd, *words, chosen, "--out", tmp_path / "a")[0] == 0
-    flown = read_settings(tmp_path / "a/brief/settings.toml")
+    flown = read_settings(tmp_path / "a/settings.toml")
     assert (flown.servo.standoff_m, flown.limits.speed_m_s) == (20.0, 3.0)
     assert flown.target.size_m == SCENARIOS[brief].size_m
     assert flown.limits.half_view_rad == pytest.approx(SCENARIOS[brief].fov_rad / 2)
-    words = ("sim", brief, "--settings", tmp_path / "a/brief/settings.toml", "--out", tmp_path / "b")
+    words = ("sim", brief, "--settings", tmp_path / "a/settings.toml", "--out", tmp_path / "b")
     assert follow(capfd, *words)[0] == 0
     for name in ("settings.toml", "ticks.csv"):
-        assert (tmp_path / "a/brief" / name).read_bytes() == (tmp_path / "b/brief" / name).read_bytes()
-    assert not (tmp_path / "b/brief/flight.rrd").exists()
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+    assert not (tmp_path / "b/flight.rrd").exists()
 
 
 def test_what_a_person_chose_stands_above_what_the_scenario_suggests(capfd, brief, tmp_path):
@@ -191,7 +191,7 @@ def test_what_a_person_chose_stands_above_what_the_scenario_suggests(capfd, brie
     status, out, err = follow(capfd, *words)
     assert status == 0, err
     assert json.loads(out)["standoff_rms_m"] > 5  # it starts 9 m behind
-    assert not (tmp_path / "brief/flight.rrd").exists()
+    assert not (tmp_path / "flight.rrd").exists()
 
 
 def ptz_in_view(capfd, source: Path, truth: Path, out: Path, *more: str) -> float:
