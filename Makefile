@@ -67,4 +67,4 @@ lock: setup
 		--generate-hashes --no-emit-index-url --no-annotate --custom-compile-command "make lock" -o requirements.lock
 
 clean:
-	rm -rf $(VENV) $(BENCH) build dist out
+	rm -rf $(VENV) $(BENCH) build dist

@@ -1,4 +1,4 @@
-"""A tracker that starts by itself on the first picture it is shown."""
+"""A tracker that starts by itself on the first picture it is shown, and again when it is told to."""
 
 from collections.abc import Callable
 
@@ -20,8 +20,12 @@ class Acquire:
     def __init__(
         self, init: Callable[[Image, Box], Track], track: Callable[[Image, Box | None], Track], box: Box
     ) -> None:
-        self._init, self._track = init, track
+        self._init, self._track, self._start = init, track, box
         self._box: Box | None = box
+
+    def again(self) -> None:
+        """Start anew, on the same box, in the next picture."""
+        self._box = self._start
 
     def update(self, image: Image, prior: Box | None = None) -> Track:
         """The track of this picture.  Raises ValueError when the box does not fit the first picture."""

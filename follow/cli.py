@@ -2,13 +2,14 @@
 
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, cast
 
 from follow.camera import CameraError
 from follow.commands import MARKERS, Doctor, Inspect, Replay, Run, Sim, commands
 from follow.doctor import NotFitError
 from follow.link import LinkError
-from follow.settings import settings_of
+from follow.settings import named, settings_of
 from racf.commandline import guarded, parse
 
 # Each command's parts are imported when it is run: the help does not wait for the tracker's kernels.
@@ -47,7 +48,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     def work() -> None:
         known = commands(settings_of(words))
-        execute(cast(Any, parse(known, words, prog="follow", description=ABOUT, config=MARKERS)))
+        command = cast(Any, parse(known, words, prog="follow", description=ABOUT, config=MARKERS))
+        flies = isinstance(command, Replay | Sim | Run)
+        execute(replace(command, named=named(words)) if flies else command)
 
     return guarded(work, prog="follow", failures=(CameraError, LinkError, NotFitError))
 

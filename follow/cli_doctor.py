@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
+import cv2
+
 from follow import doctor
 from follow.camera import CameraError
 from follow.commands import Doctor
@@ -34,7 +36,7 @@ def diagnose(command: Doctor) -> None:
             terminal.report(str(finding))
 
     if command.camera is not None:
-        say(look(command.camera, command.tracker, terminal))
+        say(look(command.camera, command.tracker, command.out, terminal))
     if command.link is not None:
         say(listen(command.link, command.system_id, command.signing_key))
     say([doctor.check_disk(command.out), doctor.check_time(command.signing_key is not None, time.time())])
@@ -43,11 +45,12 @@ def diagnose(command: Doctor) -> None:
     if not doctor.is_fit(findings):
         red = ", ".join(finding.name for finding in findings if finding.verdict is Verdict.RED)
         raise NotFitError(f"not fit to fly: {red}")
-    terminal.report("fit to fly")
+    unseen = [f"--{name}" for name in ("camera", "link") if getattr(command, name) is None]
+    terminal.report(f"nothing red, but not looked at: {' and '.join(unseen)}" if unseen else "fit to fly")
 
 
-def look(source: str, tracker: str, terminal: Terminal) -> list[Finding]:
-    """The camera, and the tracker on its pictures."""
+def look(source: str, tracker: str, out: Path, terminal: Terminal) -> list[Finding]:
+    """The camera, and the tracker on its pictures; the first of them is left in `out`, to read a target's box off."""
     kept: list[Frame] = []
     live = is_live(source)
     try:
@@ -57,6 +60,9 @@ def look(source: str, tracker: str, terminal: Terminal) -> list[Finding]:
         return [Finding("camera", Verdict.RED, str(error), "look at the source's name and cable")]
     if len(kept) > 1:
         rows, columns = kept[0].image.shape[:2]
+        out.mkdir(parents=True, exist_ok=True)
+        cv2.imwrite(str(out / "camera.png"), kept[0].image)
+        terminal.report(f"{columns}x{rows} pictures, the first is in {out / 'camera.png'}")
         timed = acquire(tracker, Box.around(columns / 2, rows / 2, rows / BOX_SHARE, rows / BOX_SHARE))
         timed.update(kept[0].image)  # its first picture starts it
         fps = (len(kept) - 1) / (kept[-1].t_s - kept[0].t_s)

@@ -48,7 +48,7 @@ def replay(command: Replay) -> None:
         if ptz is not None:
             camera, lens = ptz, ptz.intrinsics
             box = box.moved(-ptz.window.x, -ptz.window.y)
-        config = suited(config, lens)
+        config = suited(config, command.named, lens)
         recorder.settings(as_toml(config))
         target = FootageTarget(Target(lens, config.camera.down_rad, config.target), answers=command.ptz)
         servo = Servo(config.camera.down_rad, config.servo)

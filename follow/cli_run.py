@@ -15,7 +15,7 @@ from follow.live import RealTime
 from follow.messages import Autopilot, Tick
 from follow.operator import Operator
 from follow.pymavlink_link import connect
-from follow.record import Recorder
+from follow.record import Recorder, set_aside
 from follow.safety import Safety
 from follow.servo import Servo
 from follow.session import acquire, conclude
@@ -33,6 +33,7 @@ from sim.scenarios import SCENARIOS, build_live
 
 SCENE = "scene:"
 VEHICLE_S = 30.0  # an autopilot boots in less
+LONG_S = 1800.0  # a scene's target has as long a way where no end is given: a battery's time
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,8 +52,6 @@ def eye(command: Run, link: Link, report: Callable[[str], None]) -> Eye:
     """The camera that the command names; a scene is drawn as seen from where the link says that the vehicle is."""
     if command.camera.startswith(SCENE):
         return scene_eye(command, link)
-    if command.target is None:
-        raise UsageError("what is to be followed? give --target x,y,w,h")
     mount = command.config.camera
     if is_live(command.camera):
         camera = LiveVideo(command.camera, report, mount.delay_s)
@@ -60,16 +59,19 @@ def eye(command: Run, link: Link, report: Callable[[str], None]) -> Eye:
     else:
         camera, suggested = RealTime(open_replay(command.camera, None, report)), {}
     lens = mount.intrinsics(*camera.size)
-    return Eye(camera, lens, mount.down_rad, box_of(command.target), suited(command.config, lens, suggested))
+    return Eye(
+        camera,
+        lens,
+        mount.down_rad,
+        box_of(command.target or ""),
+        suited(command.config, command.named, lens, suggested),
+    )
 
 
 def scene_eye(command: Run, link: Link) -> Eye:
     """A drawn scene of as long a flight as is asked for, with its own target when no other is named."""
-    name = command.camera.removeprefix(SCENE)
-    scenario = SCENARIOS.get(name)
-    if scenario is None:
-        raise UsageError(f"there is no scene {name!r}; there are {', '.join(SCENARIOS)}")
-    scenario = replace(scenario, duration_s=max(command.seconds, scenario.duration_s))
+    scenario = SCENARIOS[command.camera.removeprefix(SCENE)]
+    scenario = replace(scenario, duration_s=max(command.seconds or LONG_S, scenario.duration_s))
     camera, _ = build_live(scenario, command.seed, link.state().autopilot or Autopilot.PX4, link)
     target = box_of(command.target) if command.target is not None else camera.first()[1]
 
@@ -77,12 +79,24 @@ def scene_eye(command: Run, link: Link) -> Eye:
         return None if tick.frame is None else camera.truth(tick.frame.index).box
 
     lens = camera.settings.intrinsics
-    config = suited(command.config, lens, scenario.suggested)
+    config = suited(command.config, command.named, lens, scenario.suggested)
     return Eye(camera, lens, camera.settings.down_rad, target, config, true_box)
+
+
+def check(command: Run) -> None:
+    """Raise UsageError for what no vehicle is needed to refuse."""
+    if command.target is not None:
+        box_of(command.target)
+    elif not command.camera.startswith(SCENE):
+        raise UsageError("what is to be followed? give --target x,y,w,h")
+    name = command.camera.removeprefix(SCENE)
+    if name != command.camera and name not in SCENARIOS:
+        raise UsageError(f"there is no scene {name!r}; there are {', '.join(SCENARIOS)}")
 
 
 def fly_live(command: Run) -> None:
     """`follow run`."""
+    check(command)
     terminal = Terminal()
     # Until there is a flight to order, the signal must not do what it does by default: kill.
     signal.signal(signal.SIGUSR1, lambda _number, _frame: terminal.report("not ready yet: SIGUSR1 orders nothing"))
@@ -92,6 +106,8 @@ def fly_live(command: Run) -> None:
     log.setLevel(logging.INFO)
     terminal.report(f"tracker warm after {warm_up():.1f} s")
     about = f"# follow run {command.link} {command.camera}\n\ntracker {command.tracker}"
+    if moved := set_aside(command.out):
+        terminal.report(f"the flight that was in {command.out} is now in {moved}")
     with Recorder(command.out, command.config.record, terminal.report, waits=False, about=about) as recorder:
         terminal.listeners.append(recorder.message)
         signing = Signing(command.signing_key) if command.signing_key else None
@@ -104,12 +120,16 @@ def fly_live(command: Run) -> None:
             recorder.settings(as_toml(seen.config))
             heard = link.client.heard
             operator = Operator(terminal.report, command.follow, command.rc_channel, heard, red)
+            tracker = acquire(command.tracker, seen.target)
+            target = Target(seen.lens, seen.down_rad, seen.config.target)
+            if command.aim:
+                operator.aim = lambda: (tracker.again(), target.forget())
             with seen.camera as camera:
                 parts = Parts(
                     camera,
                     link,
-                    acquire(command.tracker, seen.target),
-                    Target(seen.lens, seen.down_rad, seen.config.target),
+                    tracker,
+                    target,
                     Servo(seen.down_rad, seen.config.servo),
                     Safety(seen.config.limits),
                 )

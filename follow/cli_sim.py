@@ -1,7 +1,7 @@
 """`follow sim`: the closed loop without a drone, one flight or all of them."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -36,6 +36,7 @@ class Flight:
     autopilot: Autopilot
     tracker: str
     config: Config
+    named: Set[str]  # of the settings, those that a person gave
     out: Path
 
     @property
@@ -49,7 +50,7 @@ def simulate(flight: Flight, terminal: Terminal, *, bar: bool) -> tuple[Figures,
     scenario, config = SCENARIOS[flight.scenario], flight.config
     camera, link, world = build(scenario, flight.seed, flight.autopilot)
     lens, down_rad = camera.settings.intrinsics, camera.settings.down_rad
-    config = suited(config, lens, scenario.suggested)
+    config = suited(config, flight.named, lens, scenario.suggested)
     target, servo = Target(lens, down_rad, config.target), Servo(down_rad, config.servo)
     safety = Safety(config.limits)
     about = f"# follow sim {flight.scenario}\n\n{scenario.about}; seed {flight.seed}, {flight.autopilot.value}"
@@ -98,7 +99,7 @@ def sim(command: Sim) -> None:
     else:
         autopilot = command.autopilot or Autopilot.PX4
         out = command.out or OUT / command.scenario
-        flight = Flight(command.scenario, command.seed, autopilot, command.tracker, command.config, out)
+        flight = Flight(command.scenario, command.seed, autopilot, command.tracker, command.config, command.named, out)
         figures, finished = simulate(flight, terminal, bar=True)
         conclude(figures, flight.out, terminal, as_json=command.json, finished=finished)
 
@@ -108,7 +109,7 @@ def sim_all(command: Sim, scenarios: Sequence[str], terminal: Terminal) -> None:
     config = replace(command.config, record=replace(command.config.record, pictures=False))
     autopilots = [command.autopilot] if command.autopilot else list(Autopilot)
     flights = [
-        Flight(scenario, seed, autopilot, command.tracker, config, Path())
+        Flight(scenario, seed, autopilot, command.tracker, config, command.named, Path())
         for scenario in scenarios
         for autopilot in autopilots
         for seed in range(command.seed, command.seed + command.seeds)

@@ -13,6 +13,7 @@ from racf.box import Box
 from racf.commandline import UsageError
 
 Settings = Annotated[Config, tyro.conf.arg(name="")]
+Named = Annotated[frozenset[str], tyro.conf.Suppress]  # the settings that a person gave: no scene overrides them
 
 TRACKER = "racf,robust"
 MARKERS = (tyro.conf.EnumChoicesFromValues,)  # px4, not PX4, is what is typed
@@ -49,6 +50,7 @@ class Replay:
     settings: Path | None = None
     """TOML file of the settings below; what is given here stands above it (docs/service/settings.toml has them all)."""
     config: Settings = field(default_factory=Config)
+    named: Named = frozenset()
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +79,7 @@ class Sim:
     settings: Path | None = None
     """TOML file of the settings below; what is given here stands above it (docs/service/settings.toml has them all)."""
     config: Settings = field(default_factory=Config)
+    named: Named = frozenset()
 
     def __post_init__(self) -> None:
         if self.seed < 0:
@@ -89,7 +92,7 @@ class Sim:
 class Run:
     """Fly: follow a target with a vehicle that is already in the air.
 
-    Nothing is sent until FOLLOW is ordered: by --follow, by the key f, by SIGUSR1 or by a switch.  The key o, the
+    No setpoint is sent until FOLLOW is ordered: by --follow, by the key f, by SIGUSR1 or by a switch.  The key o, the
     switch, a moved stick or any change of mode ends it; q, Ctrl-C and SIGTERM leave the vehicle in Hold or BRAKE.
     """
 
@@ -99,6 +102,8 @@ class Run:
     """A device (0, /dev/video0), a stream (rtsp://...), a file, or scene:NAME: a drawn scene seen from the vehicle."""
     target: str | None = None
     """What to follow: x,y,w,h in 0-based pixels of the first picture; a scene knows its own."""
+    aim: bool = False
+    """The box is a sight: start on what is in it, anew, when FOLLOW is ordered."""
     follow: bool = False
     """Order FOLLOW as soon as every check is green, once."""
     rc_channel: Annotated[int | None, tyro.conf.arg(metavar="1-18")] = None
@@ -114,7 +119,7 @@ class Run:
     seed: int = 0
     """Of a drawn scene."""
     tracker: str = TRACKER
-    """Tracker by name, with settings: racf, racf-, racf--, bacf, arcf-hc; e.g. racf,robust,cell=4."""
+    """Tracker by name, with settings: racf, racf-, racf--, bacf, arcf-hc; e.g. racf,robust,cell_px=4."""
     out: Path = Path("out/run")
     """Folder of flight.rrd, flight.tlog, ticks.csv, settings.toml and summary.json."""
     json: bool = False
@@ -122,6 +127,7 @@ class Run:
     settings: Path | None = None
     """TOML file of the settings below; what is given here stands above it (docs/service/settings.toml has them all)."""
     config: Settings = field(default_factory=Config)
+    named: Named = frozenset()
 
     def __post_init__(self) -> None:
         require_system_id(self.system_id)
@@ -151,7 +157,7 @@ class Doctor:
     tracker: str = TRACKER
     """The tracker that is timed on the camera's pictures."""
     out: Path = Path("out/run")
-    """Where recordings would go."""
+    """Where recordings would go; the camera's first picture is left there."""
     json: bool = False
     """Print the findings as JSON on standard output."""
 

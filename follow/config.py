@@ -1,7 +1,7 @@
 """One frozen tree of settings; each part owns its own branch and says why its numbers are what they are."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from dataclasses import dataclass, field, fields, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -55,26 +55,30 @@ class Config:
     record: RecordConfig = field(default_factory=RecordConfig)
 
 
-def beneath(chosen: BranchT, suggested: Mapping[str, Any]) -> BranchT:
-    """The settings with suggested values, except where a person chose otherwise than the defaults.
+def beneath(branch: str, chosen: BranchT, suggested: Mapping[str, Any], named: Set[str]) -> BranchT:
+    """The settings of a branch with suggested values, except where a person chose: see `named` of `suited`.
 
     Raises TypeError for a suggestion that is not a setting.
     """
-    default = type(chosen)()
-    untouched = {f.name for f in fields(chosen) if getattr(chosen, f.name) == getattr(default, f.name)}
     unknown = set(suggested) - {f.name for f in fields(chosen)}
     if unknown:
         raise TypeError(f"{type(chosen).__name__} has no setting {', '.join(sorted(unknown))}")
-    return replace(chosen, **{name: value for name, value in suggested.items() if name in untouched})
+    return replace(chosen, **{name: value for name, value in suggested.items() if f"{branch}.{name}" not in named})
 
 
 def suited(
-    chosen: Config, lens: Intrinsics, suggested: Mapping[str, Mapping[str, float]] = MappingProxyType({})
+    chosen: Config,
+    named: Set[str],
+    lens: Intrinsics,
+    suggested: Mapping[str, Mapping[str, float]] = MappingProxyType({}),
 ) -> Config:
     """The settings to fly with: what a person chose, above what a scenario suggests, above what the lens does.
 
-    `suggested` holds settings by branch.  Raises TypeError for a suggestion that is not a setting.
+    `named` are the settings of `chosen` that a person gave, as "branch.name"; `suggested` holds settings by branch.
+    Raises TypeError for a suggestion that is not a setting.
     """
     limits = {"half_view_rad": lens.horizontal_fov_rad / 2, **suggested.get("limits", {})}
     branches = {**suggested, "limits": limits}
-    return replace(chosen, **{name: beneath(getattr(chosen, name), values) for name, values in branches.items()})
+    return replace(
+        chosen, **{name: beneath(name, getattr(chosen, name), values, named) for name, values in branches.items()}
+    )

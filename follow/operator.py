@@ -86,6 +86,7 @@ class Operator:
     channel: int | None = None
     heard: Heard | None = None
     red: tuple[str, ...] = ()
+    aim: Callable[[], object] = lambda: None  # called as FOLLOW is ordered
     leaving: str = ""  # why the program is to end, empty while it is not
     mode: Mode = Mode.OBSERVE
     state: VehicleState = field(default_factory=lambda: VehicleState(NEVER))
@@ -103,6 +104,7 @@ class Operator:
                 self.report(f"will not follow: {'; '.join(red)}")
                 return None
             self.report("ordered to follow")
+            self.aim()
         return order
 
     def see(self, tick: Tick) -> None:

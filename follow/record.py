@@ -5,6 +5,7 @@ bounded queue that drops its oldest and counts the drops.  Where time is simulat
 may make the loop wait instead, and nothing is dropped.
 """
 
+import itertools
 import json
 import threading
 from collections import deque
@@ -27,6 +28,9 @@ if TYPE_CHECKING:
 
 Report = Callable[[str], None]
 
+FILES = ("flight.rrd", "flight.tlog", "ticks.csv", "settings.toml", "summary.json")
+"""What a flight leaves in its folder."""
+
 FLUSH_EVERY = 15
 """Ticks between two writes of the recording: a kill loses half a second at 30 pictures/s."""
 
@@ -45,11 +49,26 @@ class RecordConfig:
             raise ValueError(f"record setting jpeg_quality must lie in 1..100, not {self.jpeg_quality}")
 
 
+def set_aside(out: Path) -> Path | None:
+    """Move the flight that is in a folder into a new folder within it; None when there is none."""
+    files = [out / name for name in FILES if (out / name).exists()]
+    if not files:
+        return None
+    folder = next(path for n in itertools.count(1) if not (path := out / f"earlier-{n}").exists())
+    folder.mkdir()
+    for file in files:
+        file.rename(folder / file.name)
+    return folder
+
+
 class Recorder:
     """Writes one flight into `out`.  Raises OSError when the folder or a file in it cannot be made."""
 
     def __init__(self, out: Path, config: RecordConfig, report: Report, *, waits: bool, about: str = "") -> None:
-        out.mkdir(parents=True, exist_ok=True)
+        try:
+            out.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise OSError(f"--out {str(out)!r} must be a folder that can be written: {error.strerror}") from None
         self.out = out
         self.summary = Summary()
         self.dropped = 0

@@ -54,7 +54,8 @@ def stale(state: VehicleState, frame_t_s: float, limits: Limits) -> tuple[str, .
         ("heartbeat", state.heartbeat_t_s, limits.heartbeat_age_s),
     )
     # abs: a time in the future by as much says that the clocks disagree.
-    old = [f"{name} is {state.t_s - t:.2f} s old" for name, t, limit in ages if not abs(state.t_s - t) <= limit]
+    late = [(name, state.t_s - t) for name, t, limit in ages if not abs(state.t_s - t) <= limit]
+    old = [f"{name} is {age:.2f} s old" if math.isfinite(age) else f"there is no {name}" for name, age in late]
     numbers = (state.roll_rad, state.pitch_rad, state.yaw_rad, state.north_m, state.east_m, state.down_m)
     speeds = (state.north_m_s, state.east_m_s, state.down_m_s, state.yaw_rate_rad_s)
     if not all(abs(v) <= PLAUSIBLE for v in (*numbers, *speeds)):

@@ -19,7 +19,10 @@ class Truth:
     """
 
     def __init__(self, path: Path) -> None:
-        self.rows: Boxes = read_boxes(path)
+        try:
+            self.rows: Boxes = read_boxes(path)
+        except UnicodeDecodeError:
+            raise ValueError(f"{path} must be a text of boxes, x,y,w,h in each row") from None
         start = self.box(0)
         if start is None:
             raise ValueError(f"{path}, row 1: the first row must hold a box, not {_row(self.rows[0])}")
@@ -46,6 +49,7 @@ class Footage:
         self._closed_loop = window is not None
         self._boxes = np.full_like(truth.rows, np.nan) if truth else np.empty((0, 4))
         self._rounds = 0
+        self._pictures = 0
         self._offsets: list[tuple[float, float]] = []
 
     def add(self, tick: Tick) -> Box | None:
@@ -54,6 +58,7 @@ class Footage:
             return None
         window = self._window()
         index, box = tick.frame.index, tick.track.box
+        self._pictures = max(self._pictures, index + 1)
         if index < len(self._boxes):
             self._rounds = max(self._rounds, index + 1)
             self._boxes[index] = (box.x + window.x + 1, box.y + window.y + 1, box.w, box.h)
@@ -86,6 +91,8 @@ class Footage:
         """One line when rows and pictures do not match in number."""
         if self._rounds < len(self._boxes):
             return f"{len(self._boxes)} annotated rows, but {self._rounds} pictures: scored on the latter"
+        if self._truth is not None and self._pictures > len(self._boxes):
+            return f"{self._pictures} pictures, but {len(self._boxes)} annotated rows: scored on the latter"
         return None
 
 

@@ -31,17 +31,35 @@ OPTION = "--settings"
 
 def settings_of(argv: Sequence[str]) -> Config:
     """The settings that the command line's file holds, or the defaults when it names none.  Raises UsageError."""
+    path = _file(argv)
+    return Config() if path is None else read_settings(path)
+
+
+def _file(argv: Sequence[str]) -> Path | None:
     name: str | None = None
     for word, following in zip(argv, [*argv, None][1:], strict=True):
         if word == OPTION:
             name = following  # None: the command line's own parser says what is missing
         elif word.startswith(f"{OPTION}="):
             name = word.partition("=")[2]
-    return Config() if name is None else read_settings(Path(name))
+    return None if name is None else Path(name)
+
+
+def named(argv: Sequence[str]) -> frozenset[str]:
+    """The settings that the command line gives, itself or by its file, as "branch.name".  Raises UsageError."""
+    typed = {word[2:].partition("=")[0].replace("-", "_") for word in argv if word.startswith("--")}
+    path = _file(argv)
+    held = {} if path is None else _table(path)
+    filed = {f"{branch}.{key}" for branch, values in held.items() if isinstance(values, dict) for key in values}
+    return frozenset(name for name in typed | filed if "." in name)
 
 
 def read_settings(path: Path) -> Config:
     """The settings in a file.  Raises UsageError."""
+    return _branch(Config(), _table(path), f"settings {str(path)!r}", "")
+
+
+def _table(path: Path) -> Mapping[str, object]:
     try:
         if path.exists() and not path.is_file():  # a folder, or a device that may never end
             raise UsageError(f"settings {str(path)!r} must be a file, and this is none")
@@ -52,10 +70,9 @@ def read_settings(path: Path) -> Config:
         wrong = error.object[error.start]
         raise UsageError(f"settings {str(path)!r} must be UTF-8, not byte {wrong:#04x} at {error.start}") from None
     try:
-        table = cast(object, tomllib.loads(text))
+        return tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         raise UsageError(f"settings {str(path)!r} must be TOML: {one_line(error)}") from None
-    return _branch(Config(), table, f"settings {str(path)!r}", "")
 
 
 def one_line(error: Exception) -> str:

@@ -18,8 +18,8 @@ log = logging.getLogger(__name__)
 KEY_BYTES = 32
 EPOCH_S = 1_420_070_400  # 2015-01-01 00:00 UTC in Unix time
 UNITS_PER_S = 100_000  # of 10 us
-# The stored time runs ahead, so that a crash cannot make it repeat: of the clock by so much, or of the last packet by so
-# many, each of which is a unit later than the one before.  A vehicle takes a stream that is a minute off for a replay.
+# The stored time runs ahead, so that a crash cannot make it repeat: of the clock by so much, or of the last packet by
+# so many, each a unit later than the one before.  A vehicle takes a stream that is a minute off for a replay.
 SAVE_EVERY = 10 * UNITS_PER_S
 SAVE_PACKETS = 10_000
 

@@ -148,6 +148,12 @@ class Target:
     on_trial: bool = False
     waiting: deque[tuple[float, Track]] = field(default_factory=lambda: deque[tuple[float, Track]](maxlen=16))
 
+    def forget(self) -> None:
+        """Begin anew with the next box: it is another target."""
+        self.filter, self.box, self.seen_t_s, self.on_trial = None, None, NEVER, False
+        self.proofs, self.accepted, self.usual_psr = 0, 0, 0.0
+        self.waiting.clear()
+
     def predict(self, state: VehicleState, t_s: float) -> Box | None:
         """Where in the picture of `t_s` the target should appear, or None for where the tracker has it.
 

@@ -144,7 +144,9 @@ class SceneCamera:
         motion = self._start()
         image, seen = self._draw(motion, 0.0, 0)
         if seen[0].box is None or seen[0].visible <= 0.0:
-            raise ValueError("the target is not in the first picture")
+            raise ValueError(
+                f"seen from {-motion.down_m:.1f} m above the ground, the target is not in the first picture"
+            )
         return Frame(image, motion.t_s, 0), seen[0].box
 
     def truth(self, index: int) -> Truth:

@@ -184,10 +184,10 @@ class Rig:
         """The whole flight, and at least two seconds beyond it as the link's own leaving has them."""
         config = ServoConfig()
         servo = Wishing(Servo(DOWN_RAD, config), self)
-        parts = Parts(self, self, self, Target(LENS, DOWN_RAD), servo, Safety(self.limits))
+        self.parts = Parts(self, self, self, Target(LENS, DOWN_RAD), servo, Safety(self.limits))
         self.advance(2.0)
         try:
-            fly(parts, self.operator, self.ticks.append, pause=self.advance)
+            fly(self.parts, self.operator, self.ticks.append, pause=self.advance)
         except (ValueError, RuntimeError) as error:
             self.error = error
         self.client.hold()

@@ -12,6 +12,7 @@ import pytest
 
 from follow import cli_replay
 from follow.cli import main
+from follow.limits import Limits
 from follow.settings import read_settings
 from sim.clip import clip, write
 from sim.scenarios import SCENARIOS
@@ -120,6 +121,15 @@ def test_ctrl_c_writes_everything_up_to_there(capfd, footage, tmp_path, monkeypa
         (("replay", "x", "--target", "1,2,3,4", "--limits.speed-m-s", "-1"), 2, "speed"),
         (("replay",), 2, "SOURCE"),
         (("fly",), 2, "fly"),
+        ((), 2, "replay"),
+        (("sim", "--seed", "-1"), 2, "--seed"),
+        (("sim", "--all", "--seeds", "0"), 2, "--seeds"),
+        (("run", "--link", "udpin:127.0.0.1:0"), 2, "--target"),
+        (("run", "--link", "udpin:127.0.0.1:0", "--target", "1,2,3"), 2, "1,2,3"),
+        (("run", "--link", "udpin:127.0.0.1:0", "--camera", "scene:nowhere"), 2, "nowhere"),
+        (("run", "--link", "udpin:127.0.0.1:0", "--rc-channel", "0"), 2, "--rc-channel"),
+        (("run", "--link", "udpin:127.0.0.1:0", "--seconds", "nan"), 2, "--seconds"),
+        (("doctor", "--system-id", "256"), 2, "--system-id"),
         (("sim", "nowhere"), 2, "nowhere"),
         (("inspect", "nowhere"), 1, "nowhere"),
     ],
@@ -192,6 +202,34 @@ def test_what_a_person_chose_stands_above_what_the_scenario_suggests(capfd, brie
     assert status == 0, err
     assert json.loads(out)["standoff_rms_m"] > 5  # it starts 9 m behind
     assert not (tmp_path / "flight.rrd").exists()
+
+
+def test_a_limit_that_a_person_gave_stands_although_it_is_the_default(capfd, brief, tmp_path, monkeypatch):
+    monkeypatch.setitem(SCENARIOS, brief, replace(SCENARIOS[brief], limits={"speed_m_s": 12.0, "fence_m": 600.0}))
+    mine = tmp_path / "mine.toml"
+    mine.write_text(f"[limits]\nfence_m = {Limits().fence_m}\n")
+    typed = ("--limits.speed-m-s", Limits().speed_m_s, "--settings", mine)
+    for words, wanted in (((), (12.0, 600.0)), (typed, (Limits().speed_m_s, Limits().fence_m))):
+        status, _, err = follow(capfd, "sim", brief, "--out", tmp_path, "--json", "--record.no-pictures", *words)
+        assert status == 0, err
+        limits = read_settings(tmp_path / "settings.toml").limits
+        assert (limits.speed_m_s, limits.fence_m) == wanted
+
+
+def test_more_pictures_than_annotated_rows_are_said(capfd, footage, tmp_path):
+    truth = footage.with_suffix(".txt")
+    short = tmp_path / "short.txt"
+    short.write_text("".join(truth.read_text().splitlines(keepends=True)[:5]))
+    status, _, err = follow(capfd, "replay", footage, "--truth", short, "--out", tmp_path, "--record.no-pictures")
+    assert status == 0
+    assert "but 5 annotated rows" in err
+
+
+def test_a_truth_that_is_no_text_is_named(capfd, footage, tmp_path):
+    status, _, err = follow(capfd, "replay", footage, "--truth", footage, "--out", tmp_path)
+    assert status == 1
+    assert str(footage) in err
+    assert err.count("\n") == 1
 
 
 def ptz_in_view(capfd, source: Path, truth: Path, out: Path, *more: str) -> float:

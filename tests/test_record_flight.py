@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from follow.messages import NEVER, Decision, Estimate, Frame, Setpoint, Tick, VehicleState
-from follow.record import RecordConfig, Recorder
+from follow.record import RecordConfig, Recorder, set_aside
 from follow.rows import COLUMNS, row
 from follow.summary import Summary
 from racf.box import Box
@@ -170,3 +170,14 @@ def test_the_summary_on_disk_is_the_summary_returned(tmp_path):
     returned = recorder.close({"auc": 50.0})
     assert json.loads((tmp_path / "summary.json").read_text()) == returned
     assert returned["auc"] == 50.0
+
+
+def test_an_earlier_flight_is_set_aside_and_never_written_over(tmp_path):
+    assert set_aside(tmp_path) is None
+    for n in (1, 2):
+        (tmp_path / "ticks.csv").write_text(f"flight {n}")
+        (tmp_path / "camera.png").write_text("no flight's")
+        assert set_aside(tmp_path) == tmp_path / f"earlier-{n}"
+    assert [(tmp_path / f"earlier-{n}/ticks.csv").read_text() for n in (1, 2)] == ["flight 1", "flight 2"]
+    assert not (tmp_path / "ticks.csv").exists()
+    assert (tmp_path / "camera.png").exists()
