@@ -12,6 +12,8 @@ def recording(path: Path) -> Path:
     found = path / "flight.rrd" if path.is_dir() else path
     if not found.is_file():
         raise FileNotFoundError(f"no recording at {found}")
+    if found.suffix != ".rrd":
+        raise FileNotFoundError(f"{found} is no recording: give a flight's folder or its flight.rrd")
     return found
 
 

@@ -1,8 +1,10 @@
 """What a person at the terminal sees: messages and progress on standard error, the result on standard output."""
 
+import errno
 import json
 import logging
 import math
+import os
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from typing import TypeVar
@@ -88,14 +90,28 @@ class _Rate(ProgressColumn):
 
 
 def result(figures: Figures | list[Figures], *, as_json: bool) -> None:
-    """Print the result on standard output, for a program or for a person."""
-    if as_json or isinstance(figures, list):
-        sys.stdout.write(json.dumps(figures, indent=2) + "\n")
-        return
+    """Print the result on standard output, for a program or for a person; a terminal may have been closed meanwhile."""
+    try:
+        sys.stdout.write(listed(figures) if isinstance(figures, dict) and not as_json else _json(figures))
+        sys.stdout.flush()
+    except OSError as error:
+        if error.errno != errno.EIO:
+            raise
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for what is flushed at the end
+
+
+def _json(figures: Figures | list[Figures]) -> str:
+    return json.dumps(figures, indent=2) + "\n"
+
+
+def listed(figures: Figures) -> str:
+    """Figures as lines for a person."""
     width = max(map(len, figures))
+    text = ""
     for name, value in figures.items():
         shown = ", ".join(f"{k} {v:g}" for k, v in value.items()) if isinstance(value, dict) else value
-        sys.stdout.write(f"{name:<{width}}  {shown}\n")
+        text += f"{name:<{width}}  {shown}\n"
+    return text
 
 
 COLUMNS = ("in_view", "centring_rms", "standoff_rms_m", "lost_s", "violations", "worst_t_s")

@@ -2,6 +2,7 @@
 
 import json
 import os
+import pty
 import subprocess
 import sys
 from dataclasses import replace
@@ -14,6 +15,7 @@ from follow import cli_replay
 from follow.cli import main
 from follow.limits import Limits
 from follow.settings import read_settings
+from follow.terminal import result
 from sim.clip import clip, write
 from sim.scenarios import SCENARIOS
 
@@ -132,6 +134,7 @@ def test_ctrl_c_writes_everything_up_to_there(capfd, footage, tmp_path, monkeypa
         (("doctor", "--system-id", "256"), 2, "--system-id"),
         (("sim", "nowhere"), 2, "nowhere"),
         (("inspect", "nowhere"), 1, "nowhere"),
+        (("inspect", __file__), 1, "no recording"),
     ],
 )
 def test_an_error_is_one_line_that_names_the_thing(capfd, words, status, names, tmp_path, monkeypatch):
@@ -253,3 +256,12 @@ def test_the_virtual_camera_keeps_a_real_building_in_view_only_by_good_control(c
     truth = folder / "groundtruth_rect.txt"
     assert ptz_in_view(capfd, folder, truth, tmp_path / "good") >= 0.95
     assert ptz_in_view(capfd, folder, truth, tmp_path / "still", *STILL) < 0.8
+
+
+def test_a_terminal_that_was_closed_is_no_failure(monkeypatch):
+    ours, theirs = pty.openpty()
+    with open(theirs, "w") as closed:
+        os.close(ours)
+        monkeypatch.setattr("sys.stdout", closed)
+        for as_json in (False, True):
+            result({"frames": 3}, as_json=as_json)
