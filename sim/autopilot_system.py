@@ -191,12 +191,13 @@ class AutopilotSystem:
         name = message.param_id
         if name not in self.flight.parameters:
             return
+        kind = type(self.flight.parameters[name])
         value = message.param_value
-        if isinstance(self.flight.parameters[name], int):
-            if self.flight.autopilot is Autopilot.PX4:  # an integer's four bytes in the place of a float's
-                value = struct.unpack("<i", struct.pack("<f", value))[0]
-            value = int(value)
-        self.flight.parameters[name] = value
+        if kind is int and self.flight.autopilot is Autopilot.PX4:  # an integer's four bytes in the place of a float's
+            value = struct.unpack("<i", struct.pack("<f", value))[0]
+        if not math.isfinite(value):
+            return
+        self.flight.parameters[name] = kind(value)
         for way in self._links:
             self._tell_parameter(name, way)
 
@@ -221,8 +222,11 @@ class AutopilotSystem:
     def _obey(self, message: Message, command: int, p: tuple[float, ...], way: _Link) -> None:
         """Carry out one command and acknowledge it to its sender."""
         source = message.get_srcSystem(), message.get_srcComponent()
-        act = getattr(self, COMMANDS.get(command, "_unsupported"))
-        for result in act(p, way):
+        if command in WHOLE and not math.isfinite(p[WHOLE[command]]):
+            results = [Result.DENIED]
+        else:
+            results = getattr(self, COMMANDS.get(command, "_unsupported"))(p, way)
+        for result in results:
             self._send(way, dialect.MAVLink_command_ack_message(command, int(result), 0, 0, *source))
 
     def _unsupported(self, _p: tuple[float, ...], _way: _Link) -> list[Result]:
@@ -235,7 +239,8 @@ class AutopilotSystem:
         return [self.flight.arm() if p[0] == 1.0 else self.flight.disarm(force=p[1] == FORCE)]
 
     def _do_set_mode(self, p: tuple[float, ...], _way: _Link) -> list[Result]:
-        sub = int(p[2]) if self.flight.autopilot is Autopilot.PX4 else 0
+        has_sub = self.flight.autopilot is Autopilot.PX4 and math.isfinite(p[2])  # NaN: a parameter that is not used
+        sub = int(p[2]) if has_sub else 0
         return self.flight.ask_mode(int(p[1]), sub)
 
     def _take_off(self, p: tuple[float, ...], _way: _Link) -> list[Result]:
@@ -293,3 +298,10 @@ COMMANDS = {
     dialect.MAV_CMD_DO_CHANGE_SPEED: "_accept",
 }
 """Command -> the method that obeys it."""
+
+WHOLE = {
+    dialect.MAV_CMD_DO_SET_MODE: 1,
+    dialect.MAV_CMD_SET_MESSAGE_INTERVAL: 0,
+    dialect.MAV_CMD_REQUEST_MESSAGE: 0,
+}
+"""Command -> the place of the parameter that is a whole number, and so must be finite."""

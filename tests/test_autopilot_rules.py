@@ -1,6 +1,7 @@
 """The simulated autopilot keeps the rules that were measured on PX4 1.16 and ArduCopter 4.7, one by one."""
 
 import math
+import struct
 
 import pytest
 from autopilot_pair import CONTROL
@@ -351,6 +352,43 @@ def test_a_parameter_that_is_set_is_told_and_kept(autopilot):
     bench.wait(0.1)
     assert bench.flight.parameters[name] == value
     assert any(m.get_type() == "PARAM_VALUE" and m.param_value == value for m in bench.heard)
+
+
+@BOTH
+@pytest.mark.parametrize("wild", [math.nan, math.inf])
+@pytest.mark.parametrize(("command", "place"), [(176, 1), (511, 0), (512, 0)])  # mode, interval, request
+def test_a_command_whose_whole_number_is_none_is_denied(autopilot, wild, command, place):
+    bench = Bench(autopilot)
+    assert bench.command(command, *(0.0,) * place, wild) == 2
+    bench.wait(1.1)
+    assert bench.heard_last("HEARTBEAT")
+
+
+@BOTH
+def test_a_sub_mode_that_is_none_counts_as_0(autopilot):
+    bench = Bench(autopilot)
+    bench.stream(1.0)
+    assert bench.command(176, 1, NUMBERS[autopilot][CONTROL[autopilot]][0], math.nan) == 0
+    assert bench.flight.mode == CONTROL[autopilot]
+
+
+@pytest.mark.parametrize(
+    ("autopilot", "name"), [(PX4, "COM_OF_LOSS_T"), (ARDUPILOT, "GUID_TIMEOUT"), (ARDUPILOT, "FENCE_ACTION")]
+)
+@pytest.mark.parametrize("wild", [math.nan, math.inf])
+def test_a_parameter_is_not_set_to_what_is_no_number(autopilot, name, wild):
+    bench = Bench(autopilot)
+    before = bench.flight.parameters[name]
+    bench.say(dialect.MAVLink_param_set_message(1, 1, name.encode(), wild, 9))
+    assert bench.flight.parameters[name] == before
+
+
+def test_a_negative_whole_number_reaches_px4_though_its_bytes_read_as_nan():
+    bench = Bench(PX4)
+    (as_float,) = struct.unpack("<f", struct.pack("<i", -1))
+    assert math.isnan(as_float)
+    bench.say(dialect.MAVLink_param_set_message(1, 1, b"GF_ACTION", as_float, 6))
+    assert bench.flight.parameters["GF_ACTION"] == -1
 
 
 @BOTH
