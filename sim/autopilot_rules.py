@@ -147,8 +147,8 @@ class ArduCopterFlight(Flight):
             return
         known = frame in (LOCAL_NED, LOCAL_OFFSET_NED, BODY_NED, BODY_OFFSET_NED)
         x, y, down = velocity if known and not mask & VELOCITY_BITS else (0.0, 0.0, 0.0)
-        turning = yaw_rate
-        if mask & YAW_RATE_BIT:
+        turning = yaw_rate if known else 0.0
+        if known and mask & YAW_RATE_BIT:
             turning = None  # it turns toward its course
         self.command = Command(self.t_s, x, y, down, turning, frame in (BODY_NED, BODY_OFFSET_NED))
         self._climbing = False

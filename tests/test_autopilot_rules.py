@@ -103,9 +103,10 @@ def test_frames_7_and_9_are_obeyed_by_ardupilot(frame):
 
 def test_frame_12_stops_ardupilot():
     bench = Bench(ARDUPILOT).under_control()
-    bench.stream(4.0, x=2.0)
-    bench.stream(4.0, x=2.0, frame=12)
+    bench.stream(4.0, x=2.0, yaw_rate=0.5)
+    bench.stream(4.0, x=2.0, yaw_rate=0.5, frame=12)
     assert math.hypot(*bench.body_velocity()) < 0.1
+    assert abs(bench.flight.vehicle.motion.yaw_rate_rad_s) < 0.01
 
 
 @pytest.mark.parametrize("frame", [7, 9, 12])
