@@ -232,9 +232,6 @@ class AutopilotSystem:
     def _unsupported(self, _p: tuple[float, ...], _way: _Link) -> list[Result]:
         return [Result.UNSUPPORTED]
 
-    def _accept(self, _p: tuple[float, ...], _way: _Link) -> list[Result]:
-        return [Result.ACCEPTED]
-
     def _arm_disarm(self, p: tuple[float, ...], _way: _Link) -> list[Result]:
         return [self.flight.arm() if p[0] == 1.0 else self.flight.disarm(force=p[1] == FORCE)]
 
@@ -254,10 +251,6 @@ class AutopilotSystem:
 
     def _return(self, _p: tuple[float, ...], _way: _Link) -> list[Result]:
         self.flight.enter(self.flight.return_mode)
-        return [Result.ACCEPTED]
-
-    def _reposition(self, _p: tuple[float, ...], _way: _Link) -> list[Result]:
-        self.flight.enter(self.flight.stay_mode)
         return [Result.ACCEPTED]
 
     def _set_message_interval(self, p: tuple[float, ...], way: _Link) -> list[Result]:
@@ -290,12 +283,9 @@ COMMANDS = {
     dialect.MAV_CMD_NAV_TAKEOFF: "_take_off",
     dialect.MAV_CMD_NAV_LAND: "_land",
     dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH: "_return",
-    dialect.MAV_CMD_DO_REPOSITION: "_reposition",
     dialect.MAV_CMD_SET_MESSAGE_INTERVAL: "_set_message_interval",
     dialect.MAV_CMD_REQUEST_MESSAGE: "_request_message",
     dialect.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: "_request_version",
-    dialect.MAV_CMD_DO_SET_HOME: "_accept",
-    dialect.MAV_CMD_DO_CHANGE_SPEED: "_accept",
 }
 """Command -> the method that obeys it."""
 

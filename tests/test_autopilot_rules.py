@@ -336,6 +336,12 @@ def test_a_low_battery_takes_the_vehicle_over_when_it_is_set_to(autopilot, name)
         assert (bench.flight.mode != CONTROL[autopilot]) is taken
 
 
+@BOTH
+@pytest.mark.parametrize("command", [192, 179, 178])  # DO_REPOSITION, DO_SET_HOME, DO_CHANGE_SPEED
+def test_a_command_that_does_nothing_is_not_accepted(autopilot, command):
+    assert Bench(autopilot).command(command) == 3
+
+
 def test_an_unknown_command_is_unsupported_and_a_foreign_one_is_not_answered():
     bench = Bench(PX4)
     assert bench.command(31000) == 3
