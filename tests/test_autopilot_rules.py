@@ -2,12 +2,14 @@
 
 import math
 import struct
+from pathlib import Path
 
 import pytest
 from autopilot_pair import CONTROL
 from pymavlink.dialects.v20 import common as dialect
 
 from follow.messages import Autopilot
+from sim.autopilot_parameters import OBEYED, REPORTED
 from sim.autopilot_system import AutopilotSystem
 from sim.dynamics import Motion, Vehicle
 
@@ -406,6 +408,16 @@ def test_the_whole_list_of_parameters_comes_on_request(autopilot):
     told = [m for m in bench.heard if m.get_type() == "PARAM_VALUE"]
     assert [m.param_index for m in told] == list(range(told[0].param_count))
     assert {m.param_id for m in told} == set(bench.flight.parameters)
+
+
+@BOTH
+def test_a_parameter_is_read_by_the_flight_or_told_as_not_obeyed(autopilot):
+    root = Path(__file__).parents[1]
+    flight = "".join((root / "sim" / f"autopilot_{part}.py").read_text() for part in ("flight", "rules"))
+    told = (root / "docs/links.md").read_text().partition("reports but does not obey")[2]
+    assert all(f'"{name}"' in flight for name in OBEYED[autopilot])
+    assert not [name for name in REPORTED[autopilot] if f'"{name}"' in flight or name not in told]
+    assert not [name for name in OBEYED[autopilot] if name in told]
 
 
 def test_two_links_hear_each_others_broadcasts_and_only_their_own_answers():
