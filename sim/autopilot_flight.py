@@ -126,6 +126,13 @@ class Flight(ABC):
         self.armed = False
         return Result.ACCEPTED
 
+    @property
+    def is_landing(self) -> bool:
+        """In the air, on the way down to the ground."""
+        mode = self.mode
+        down = mode == self.land_mode or (mode == self.return_mode and self._is_above_home())
+        return down and not self.vehicle.motion.landed
+
     def land(self) -> Result:
         """Descend here."""
         self.enter(self.land_mode)
@@ -152,8 +159,7 @@ class Flight(ABC):
         motion = self.vehicle.motion
         if self.armed and motion.landed and self._idle_s() > self._idle_limit_s():
             self.armed = False
-        distance_m = math.hypot(motion.north_m - self.home[0], motion.east_m - self.home[1])
-        outside = self.armed and self._outside_fence(distance_m, -motion.down_m)
+        outside = self.armed and self._outside_fence(self._from_home_m(), -motion.down_m)
         if outside and not self.beyond_fence and (mode := self._fence_mode()):
             self.texts.append("Geofence exceeded" if self.autopilot is Autopilot.PX4 else "Fence Breached")
             self.enter(mode)
@@ -163,6 +169,13 @@ class Flight(ABC):
             self.texts.append("Low battery")
             if mode := self._battery_mode():
                 self.enter(mode)
+
+    def _from_home_m(self) -> float:
+        motion = self.vehicle.motion
+        return math.hypot(motion.north_m - self.home[0], motion.east_m - self.home[1])
+
+    def _is_above_home(self) -> bool:
+        return self._from_home_m() < ARRIVED_M
 
     def _idle_s(self) -> float:
         return self.t_s - max(self._armed_t_s, self._landed_t_s)
@@ -206,9 +219,9 @@ class Flight(ABC):
         return self._toward((north, east, down), 5.0)
 
     def _guide_return(self) -> Setpoint:
-        motion = self.vehicle.motion
-        if math.hypot(motion.north_m - self.home[0], motion.east_m - self.home[1]) < ARRIVED_M:
-            self.enter(self.land_mode)
+        if self._is_above_home():
+            self._point = (*self.home, self.vehicle.motion.down_m)  # a gust aside stops the descent and no more
+            return self._guide_land()
         return self._toward((*self.home, self._point[2]), 5.0)
 
     def _guide_sticks(self) -> Setpoint:

@@ -101,7 +101,7 @@ def _gps_raw_int(flight: Flight, t_s: float) -> Message:
 
 def _extended_sys_state(flight: Flight, _t_s: float) -> Message:
     on_ground = flight.vehicle.motion.landed
-    if flight.mode == "LAND" and not on_ground:
+    if flight.is_landing:
         state = dialect.MAV_LANDED_STATE_LANDING
     elif flight.mode == "TAKEOFF":
         state = dialect.MAV_LANDED_STATE_TAKEOFF

@@ -208,6 +208,31 @@ def test_a_resumed_stream_re_enters_offboard_by_itself_unless_somebody_chose_a_m
     assert bench.flight.mode == "RTL"
 
 
+@BOTH
+def test_a_return_stays_one_until_it_has_landed_at_home_and_disarmed(autopilot):
+    bench = Bench(autopilot, height_m=5.0).under_control()
+    bench.stream(4.0, x=2.0)
+    bench.mode("RTL")
+    states = set()
+    for _ in range(40):
+        bench.wait(1.0)
+        assert bench.mode_in_heartbeat() == {PX4: 4 << 16 | 5 << 24, ARDUPILOT: 6}[autopilot]
+        states.add(bench.heard_last("EXTENDED_SYS_STATE").landed_state)
+    assert states == {1, 2, 4}  # on the ground, in the air, landing
+    assert not bench.flight.armed
+    motion = bench.flight.vehicle.motion
+    assert math.hypot(motion.north_m, motion.east_m) < 0.5
+
+
+def test_a_resumed_stream_re_enters_offboard_while_the_return_lands():
+    bench = Bench(PX4, COM_OBL_RC_ACT=3).under_control()
+    bench.wait(6.0)  # it is at home, on its way down
+    assert bench.flight.mode == "RTL"
+    assert bench.body_velocity()[2] > 0.4
+    bench.stream(0.2)
+    assert bench.flight.mode == "OFFBOARD"
+
+
 def test_px4_keeps_offboard_at_1_2_setpoints_a_second_and_flaps_at_0_8():
     for rate_hz, kept in ((1.2, True), (0.8, False)):
         bench = Bench(PX4).under_control()
@@ -231,7 +256,7 @@ def test_in_another_mode_the_stream_is_ignored_and_a_request_is_granted_even_in_
     bench = Bench(autopilot).under_control()
     bench.mode("RTL")
     bench.stream(2.0, x=3.0)
-    assert bench.flight.mode in ("RTL", "LAND")
+    assert bench.flight.mode == "RTL"
     assert math.hypot(*bench.body_velocity()[:2]) < 0.5
     bench.mode(CONTROL[autopilot])
     assert bench.flight.mode == CONTROL[autopilot]
