@@ -5,7 +5,7 @@
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import ClassVar
@@ -21,6 +21,7 @@ DESCEND_M_S = {Autopilot.PX4: 0.7, Autopilot.ARDUPILOT: 0.5}  # MPC_LAND_SPEED, 
 SINK_M_S = 0.6  # PX4 in position mode without a stick to read, as measured
 STICK_M_S = 5.0  # at full deflection
 ARRIVED_M = 0.3
+NO_PWM = 0xFFFF  # of an RC channel that is not there
 
 
 class Result(IntEnum):
@@ -74,7 +75,8 @@ class Flight(ABC):
         self.battery = 1.0  # of full
         self.texts: list[str] = []  # what the autopilot says, oldest first; whoever reads it empties it
         self.sticks: tuple[float, float, float, float] | None = None  # pitch, roll, down, yaw in -1..1; None: no RC
-        self.switches: tuple[int, ...] = ()  # PWM of RC channels 5 and up, microseconds
+        self.switches: tuple[int, ...] = ()  # PWM of RC channels 5 and up, microseconds, NO_PWM for none
+        self._sticks_end_s = math.inf  # forgotten then, unless they are told anew
         self.command: Command | None = None  # the setpoint that is obeyed in OFFBOARD or GUIDED
         self.ground_station_t_s = NEVER
         self.t_s = motion.t_s
@@ -126,6 +128,13 @@ class Flight(ABC):
         self.armed = False
         return Result.ACCEPTED
 
+    def take_sticks(self, axes: Sequence[float | None], switches: tuple[int, ...]) -> None:
+        """Sticks from afar: pitch, roll, down, yaw, kept within -1..1; one that is not there (None) rests."""
+        pitch, roll, down, yaw = (0.0 if axis is None else max(-1.0, min(1.0, axis)) for axis in axes)
+        self.sticks = None if all(axis is None for axis in axes) else (pitch, roll, down, yaw)
+        self.switches = switches
+        self._sticks_end_s = self.t_s + self._sticks_last_s()
+
     @property
     def is_landing(self) -> bool:
         """In the air, on the way down to the ground."""
@@ -155,8 +164,10 @@ class Flight(ABC):
     def _refusal_to_arm(self) -> str: ...
 
     def _watch(self) -> None:
-        """Look for what changes the mode without being asked: landing, fence, battery; the rules add theirs."""
+        """Look for what changes without being asked: sticks, landing, fence, battery; the rules add theirs."""
         motion = self.vehicle.motion
+        if self.t_s > self._sticks_end_s:
+            self.sticks, self.switches, self._sticks_end_s = None, (), math.inf
         if self.armed and motion.landed and self._idle_s() > self._idle_limit_s():
             self.armed = False
         outside = self.armed and self._outside_fence(self._from_home_m(), -motion.down_m)
@@ -179,6 +190,11 @@ class Flight(ABC):
 
     def _idle_s(self) -> float:
         return self.t_s - max(self._armed_t_s, self._landed_t_s)
+
+    @abstractmethod
+    def _sticks_last_s(self) -> float:
+        """So long sticks that come over MAVLink are believed without a new message."""
+        ...
 
     @abstractmethod
     def _idle_limit_s(self) -> float: ...

@@ -33,6 +33,7 @@ OBEYED: dict[Autopilot, dict[str, float | int]] = {
         "FENCE_RADIUS": 300.0,  # m
         "DISARM_DELAY": 10,  # s
         "BATT_FS_LOW_ACT": 0,  # 0 none, 1 land, 2 return
+        "RC_OVERRIDE_TIME": 3.0,  # s, -1 for ever
     },
 }
 
@@ -58,7 +59,6 @@ REPORTED: dict[Autopilot, dict[str, float | int]] = {
         "ATC_SLEW_YAW": 6000.0,  # cdeg/s
         "RTL_ALT": 1500,  # cm
         "LAND_SPEED": 50,  # cm/s
-        "RC_OVERRIDE_TIME": 3.0,  # s
         "SYSID_THISMAV": 1,
         "SYSID_MYGCS": 255,
     },

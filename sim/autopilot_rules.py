@@ -12,6 +12,7 @@ VELOCITY_BITS = 0b111 << 3
 YAW_RATE_BIT = 1 << 11
 STREAM_SLACK_S = 0.15  # PX4: kept OFFBOARD at 1.2 Hz, flapped at 0.8 Hz, braked 1.1-1.4 s after the last setpoint
 STREAM_RECENT_S = 0.5  # PX4: OFFBOARD needs setpoints at more than 2 Hz; its firmware is content with a fresh one
+STICKS_LAST_S = 0.5  # PX4: COM_RC_LOSS_T's default
 
 
 class Px4Flight(Flight):
@@ -95,6 +96,9 @@ class Px4Flight(Flight):
             self.ground_station_t_s = NEVER
             self.texts.append("GCS connection lost")
             self.enter({1: "HOLD", 2: "RTL"}.get(action, "LAND"))
+
+    def _sticks_last_s(self) -> float:
+        return STICKS_LAST_S
 
     def _idle_limit_s(self) -> float:
         flown = self._landed_t_s > self._armed_t_s
@@ -200,6 +204,10 @@ class ArduCopterFlight(Flight):
             self.ground_station_t_s = NEVER
             self.texts.append("GCS Failsafe")
             self.enter("LAND" if action == 5 else "RTL")
+
+    def _sticks_last_s(self) -> float:
+        seconds = float(self.parameters["RC_OVERRIDE_TIME"])
+        return math.inf if seconds < 0.0 else seconds
 
     def _idle_limit_s(self) -> float:
         return 0.5 if self.mode in ("LAND", "RTL") else float(self.parameters["DISARM_DELAY"])

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pymavlink.dialects.v20 import common as dialect
 
 from follow.messages import Autopilot
-from sim.autopilot_flight import Flight, Result
+from sim.autopilot_flight import NO_PWM, Flight, Result
 from sim.autopilot_rules import RULES
 from sim.autopilot_telemetry import ORIGINS, REPORTS, UNASKED_HZ, Message
 from sim.dynamics import Vehicle
@@ -21,6 +21,8 @@ PARAMETER_TYPES = {
     Autopilot.PX4: {int: dialect.MAV_PARAM_TYPE_INT32, float: dialect.MAV_PARAM_TYPE_REAL32},
     Autopilot.ARDUPILOT: {int: dialect.MAV_PARAM_TYPE_INT16, float: dialect.MAV_PARAM_TYPE_REAL32},
 }
+NO_AXIS = 0x7FFF  # MANUAL_CONTROL: the remote control has no such stick
+KEEP, RELEASE = 0xFFFF, 0  # RC_CHANNELS_OVERRIDE: leave the channel as it is; give it back
 # What the old REQUEST_DATA_STREAM switches on, all groups together
 STREAMED = (
     dialect.MAVLINK_MSG_ID_SYS_STATUS,
@@ -148,16 +150,20 @@ class AutopilotSystem:
         self.flight.take_setpoint(message.coordinate_frame, message.type_mask, velocity, message.yaw_rate)
 
     def _on_manual_control(self, message: dialect.MAVLink_manual_control_message, _way: _Link) -> None:
-        # z is the throttle, 0..1000 with the middle at 500
-        self.flight.sticks = message.x / 1e3, message.y / 1e3, -(message.z - 500) / 500, message.r / 1e3
+        axes = message.x, message.y, message.z, message.r
+        pitch, roll, throttle, yaw = (None if axis == NO_AXIS else axis / 1e3 for axis in axes)
+        down = None if throttle is None else 1.0 - 2.0 * throttle  # the throttle's middle is at 0.5
+        self.flight.take_sticks((pitch, roll, down, yaw), self.flight.switches)
 
     def _on_rc_channels_override(self, message: dialect.MAVLink_rc_channels_override_message, _way: _Link) -> None:
-        roll, pitch, throttle, yaw = (
-            (getattr(message, f"chan{n}_raw") - 1500) / 500 if getattr(message, f"chan{n}_raw") else 0.0
-            for n in range(1, 5)
-        )
-        self.flight.sticks = -pitch, roll, -throttle, yaw
-        self.flight.switches = tuple(getattr(message, f"chan{n}_raw") for n in range(5, 9))
+        roll, pitch, throttle, yaw, *rest = (getattr(message, f"chan{n}_raw") for n in range(1, 9))
+        before = self.flight.sticks or (None,) * 4
+        moved = zip(before, (pitch, roll, throttle, yaw), (-1, 1, -1, 1), strict=True)
+        axes = [{KEEP: old, RELEASE: None}.get(pwm, sign * (pwm - 1500) / 500) for old, pwm, sign in moved]
+        switches = self.flight.switches or (NO_PWM,) * 4
+        switched = zip(switches, rest, strict=True)
+        switches = tuple(old if pwm == KEEP else pwm or NO_PWM for old, pwm in switched)  # 0 is RELEASE
+        self.flight.take_sticks(axes, switches)
 
     def _on_set_mode(self, message: dialect.MAVLink_set_mode_message, _way: _Link) -> None:
         custom = message.custom_mode

@@ -7,7 +7,7 @@ from typing import Any
 from pymavlink.dialects.v20 import common as dialect
 
 from follow.messages import Autopilot
-from sim.autopilot_flight import Flight
+from sim.autopilot_flight import NO_PWM, Flight
 
 Message = dialect.MAVLink_message
 
@@ -146,12 +146,12 @@ def _vfr_hud(flight: Flight, _t_s: float) -> Message:
 
 
 def _rc_channels(flight: Flight, t_s: float) -> Message:
-    pwm = [0xFFFF] * 18
+    pwm = [NO_PWM] * 18
     if flight.sticks is not None:
         pitch, roll, down, yaw = flight.sticks
         pwm[:4] = (round(1500 + 500 * s) for s in (roll, -pitch, -down, yaw))
-        pwm[4 : 4 + len(flight.switches)] = flight.switches
-    count = sum(value != 0xFFFF for value in pwm)
+    pwm[4 : 4 + len(flight.switches)] = flight.switches
+    count = sum(value != NO_PWM for value in pwm)
     channels: Any = (count, *pwm, 255 if count else 0)  # too many for a type checker to count
     return dialect.MAVLink_rc_channels_message(ms(t_s), *channels)
 
