@@ -20,10 +20,11 @@ from typing import Annotated, Literal
 import tyro
 
 from follow.messages import Autopilot
-from sim.autopilot_system import AutopilotSystem
+from sim.autopilot_system import SIGNING_UNITS_PER_S, AutopilotSystem
 from sim.dynamics import Motion, Vehicle, Wind
 
 STEP_S = 0.005  # twice as often as the fastest telemetry that is asked for in practice
+SIGNING_EPOCH_S = 1_420_070_400  # 2015-01-01 00:00 UTC in Unix time
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +100,9 @@ def build(options: Options) -> AutopilotSystem:
     key = options.signing_key.read_bytes() if options.signing_key else None
     if key is not None and len(key) != 32:
         raise ValueError(f"--signing-key {options.signing_key} must hold 32 bytes, not {len(key)}")
-    system = AutopilotSystem(Autopilot(options.rules), vehicle, links=2 if options.gcs else 1, key=key)
+    links = 2 if options.gcs else 1
+    signing_time = round((time.time() - SIGNING_EPOCH_S) * SIGNING_UNITS_PER_S)
+    system = AutopilotSystem(Autopilot(options.rules), vehicle, links, key=key, signing_time=signing_time)
     known = system.flight.parameters
     for setting in options.set:
         name, _, value = setting.partition("=")

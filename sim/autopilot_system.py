@@ -21,6 +21,7 @@ PARAMETER_TYPES = {
     Autopilot.PX4: {int: dialect.MAV_PARAM_TYPE_INT32, float: dialect.MAV_PARAM_TYPE_REAL32},
     Autopilot.ARDUPILOT: {int: dialect.MAV_PARAM_TYPE_INT16, float: dialect.MAV_PARAM_TYPE_REAL32},
 }
+SIGNING_UNITS_PER_S = 100_000  # MAVLink 2 signs with a time in units of 10 us
 NO_AXIS = 0x7FFF  # MANUAL_CONTROL: the remote control has no such stick
 KEEP, RELEASE = 0xFFFF, 0  # RC_CHANNELS_OVERRIDE: leave the channel as it is; give it back
 # What the old REQUEST_DATA_STREAM switches on, all groups together
@@ -49,15 +50,23 @@ class _Link:
 class AutopilotSystem:
     """An autopilot on `links` links.  `boot_s` is what its clock shows when the caller's shows 0.
 
-    `key` (32 bytes) makes it sign its packets and ignore those that are not signed with the same.
+    `key` (32 bytes) makes it sign its packets and ignore those that are not signed with the same; their time begins
+    at `signing_time` (10 us since 2015) when the caller's clock shows 0.
     """
 
     def __init__(
-        self, autopilot: Autopilot, vehicle: Vehicle, links: int = 1, boot_s: float = 100.0, key: bytes | None = None
+        self,
+        autopilot: Autopilot,
+        vehicle: Vehicle,
+        links: int = 1,
+        boot_s: float = 100.0,
+        key: bytes | None = None,
+        signing_time: int = 0,
     ):
         self.flight: Flight = RULES[autopilot](vehicle)
         self.t_s = self.flight.t_s
         self._boot_s = boot_s
+        self._signing_time = signing_time
         self._told_mode = self.flight.mode
         self._links = [_Link(self._codec(n, key), self._unasked()) for n in range(links)]
 
@@ -81,6 +90,8 @@ class AutopilotSystem:
         self.t_s = t_s
         ardupilot = self.flight.autopilot is Autopilot.ARDUPILOT
         for way in self._links:
+            signing = way.mav.signing
+            signing.timestamp = max(signing.timestamp, self._signing_time + round(t_s * SIGNING_UNITS_PER_S))
             if ardupilot and self.flight.mode != self._told_mode:
                 way.due_t_s[dialect.MAVLINK_MSG_ID_HEARTBEAT] = t_s  # it tells a new mode at once
             for number, every_s in way.every_s.items():
@@ -105,6 +116,7 @@ class AutopilotSystem:
         if key is not None:
             mav.signing.secret_key = key
             mav.signing.link_id = link
+            mav.signing.timestamp = self._signing_time
             mav.signing.sign_outgoing = True
         return mav
 

@@ -15,6 +15,9 @@ from mavsdk import ComponentType, Configuration, Mavsdk
 from mavsdk.plugins.action import Action
 from mavsdk.plugins.offboard import Offboard, VelocityBodyYawspeed
 from mavsdk.plugins.telemetry import Telemetry
+from pymavlink.dialects.v20 import common as dialect
+
+from sim.autopilot import Options, build
 
 BOTH = pytest.mark.parametrize("rules", ["px4", "ardupilot"])
 SPEEDUP = 6.0
@@ -140,6 +143,21 @@ def fly_with_pymavlink(link, guided: str) -> None:
     link.mav.command_long_send(1, 1, 21, 0, 0, 0, 0, 0, 0, 0, 0)
     until("landed", lambda: heard("EXTENDED_SYS_STATE").landed_state == 1)
     until("disarmed", lambda: not heard("HEARTBEAT").base_mode & 128)
+
+
+def test_a_client_with_the_same_key_and_the_clocks_time_takes_what_a_new_autopilot_signs(tmp_path):
+    key = tmp_path / "key"
+    key.write_bytes(bytes(range(32)))
+    key.chmod(0o600)
+    system = build(Options(signing_key=key))
+    ears = dialect.MAVLink(None, 1, 191)
+    ears.signing.secret_key = key.read_bytes()
+    ears.signing.timestamp = int((time.time() - 1_420_070_400) * 1e5)  # it refuses a stream a minute behind
+    system.step(0.1)
+    packets = system.take()
+    assert packets
+    for packet in packets:
+        ears.parse_buffer(packet)  # raises MAVError for a refused signature
 
 
 def test_a_wrong_address_is_one_line_and_no_trace():

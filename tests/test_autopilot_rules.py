@@ -511,6 +511,16 @@ def test_a_parameter_is_read_by_the_flight_or_told_as_not_obeyed(autopilot):
     assert not told & OBEYED[autopilot].keys()
 
 
+def test_the_signing_time_begins_where_it_is_told_and_goes_with_the_callers_clock():
+    key, begin = bytes(range(32)), 36_000_000_000_000  # in 2026
+    system = AutopilotSystem(PX4, Vehicle(PX4, Motion(down_m=-5.0)), key=key, signing_time=begin)
+    for t_s in (0.02, 600.0):
+        system.step(t_s)
+        packet = system.take()[-1]
+        late = int.from_bytes(packet[-12:-6], "little") - begin - t_s * 1e5  # units of 10 us
+        assert 0 <= late < 1000
+
+
 def test_two_links_hear_each_others_broadcasts_and_only_their_own_answers():
     system = AutopilotSystem(PX4, Vehicle(PX4, Motion(down_m=-5.0)), links=2)
     station, companion = dialect.MAVLink(None, 255, 190), dialect.MAVLink(None, 1, 191)
