@@ -1,7 +1,7 @@
 """How well a flight followed: pure functions over its rows, each a tick and what was true then.
 
 Nothing here trusts the estimate or the gate: offsets and distances are of the true target from the true vehicle, and
-the limits are checked again on what was sent and on how the vehicle really moved.
+the limits are checked again on what was sent and on where the vehicle really went.
 """
 
 import cmath
@@ -183,30 +183,34 @@ def reacquired(rows: Sequence[Row]) -> bool | None:
 
 
 def violations(rows: Sequence[Row], limits: Mapping[str, float]) -> dict[str, int]:
-    """How often each limit was passed by what was sent (speeds, accelerations) or by where the vehicle went."""
+    """In how many rounds each limit was passed, from the first that sent a setpoint on.
+
+    Speeds are checked in rounds that sent one, accelerations where the round before did, too; places, which are the
+    vehicle's own, in all.  The fence is about the vehicle's place at the first setpoint.
+    """
     count: Counter[str] = Counter()
-    begun = next((row for row in rows if row.setpoint is not None), None)
+    first = next((k for k, row in enumerate(rows) if row.setpoint is not None), len(rows))
     before: tuple[float, complex, float] | None = None
-    for row in rows:
-        m = row.motion
-        sent = row.setpoint
-        if begun is None or sent is None:
-            before = None
-            continue
-        velocity = cmath.rect(1.0, row.yaw_rad) * complex(sent.forward_m_s, sent.right_m_s)
+    for row in rows[first:]:
+        m, start = row.motion, rows[first].motion
         over = {
-            "speed_m_s": abs(velocity),
-            "climb_m_s": abs(sent.down_m_s),
-            "yaw_rate_rad_s": abs(sent.yaw_rate_rad_s),
             "ceiling_m": -m.down_m,
-            "fence_m": math.hypot(m.north_m - begun.motion.north_m, m.east_m - begun.motion.east_m),
+            "fence_m": math.hypot(m.north_m - start.north_m, m.east_m - start.east_m),
         }
-        if before is not None and row.t_s > before[0]:
-            dt = row.t_s - before[0]
-            over["accel_m_s2"] = abs(velocity - before[1]) / dt
-            over["climb_accel_m_s2"] = abs(sent.down_m_s - before[2]) / dt
+        sent = row.setpoint
+        now = None
+        if sent is not None:
+            velocity = cmath.rect(1.0, row.yaw_rad) * complex(sent.forward_m_s, sent.right_m_s)
+            now = row.t_s, velocity, sent.down_m_s
+            over["speed_m_s"] = abs(velocity)
+            over["climb_m_s"] = abs(sent.down_m_s)
+            over["yaw_rate_rad_s"] = abs(sent.yaw_rate_rad_s)
+            if before is not None and row.t_s > before[0]:
+                dt = row.t_s - before[0]
+                over["accel_m_s2"] = abs(velocity - before[1]) / dt
+                over["climb_accel_m_s2"] = abs(sent.down_m_s - before[2]) / dt
         for name, value in over.items():
             count[name] += name in limits and value > limits[name] * (1 + SLACK) + SLACK
         count["floor_m"] += "floor_m" in limits and -m.down_m < limits["floor_m"] * (1 - SLACK)
-        before = row.t_s, velocity, sent.down_m_s
+        before = now
     return {name: passed for name, passed in count.items() if passed}

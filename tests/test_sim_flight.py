@@ -206,6 +206,23 @@ def test_limits_are_checked_again_on_what_was_sent():
     }
 
 
+@pytest.mark.parametrize(
+    ("name", "place"), [("fence_m", {"north_m": 60.0}), ("floor_m", {"down_m": -1.0}), ("ceiling_m", {"down_m": -30.0})]
+)
+def test_where_the_vehicle_goes_is_checked_also_after_the_last_setpoint(name, place):
+    flight = rows([MIDDLE] * 10, sent=[None] * 2 + [HOVER] * 3 + [None] * 5)
+    away = [
+        replace(row, motion=replace(row.motion, **place)) if k in (0, 7, 8, 9) else row for k, row in enumerate(flight)
+    ]
+    assert score(away, CAMERA, 9.0, LIMITS | {"ceiling_m": 20.0}).violations == {name: 3}
+
+
+def test_what_is_sent_after_a_pause_is_no_acceleration():
+    sent = [HOVER, None, Setpoint(2.0), Setpoint(2.0), Setpoint(forward_m_s=2.0, down_m_s=1.0)]
+    limits = LIMITS | {"climb_accel_m_s2": 2.0}
+    assert score(rows([MIDDLE] * 5, sent=sent), CAMERA, 9.0, limits).violations == {"climb_accel_m_s2": 1}
+
+
 def test_settings_of_a_scenario_reach_the_camera():
     scenario = SCENARIOS["lens"]
     settings = scenario.camera_settings(Autopilot.PX4)
