@@ -12,7 +12,7 @@ import select
 import socket
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -23,6 +23,7 @@ from follow.messages import Autopilot
 from sim.autopilot_system import SIGNING_UNITS_PER_S, AutopilotSystem
 from sim.dynamics import Motion, Vehicle, Wind
 
+LAST_PORT = 65535
 STEP_S = 0.005  # twice as often as the fastest telemetry that is asked for in practice
 SIGNING_EPOCH_S = 1_420_070_400  # 2015-01-01 00:00 UTC in Unix time
 
@@ -56,21 +57,28 @@ class Options:
 
 
 class UdpPort:
-    """One UDP way: `udpout:` speaks first to an address, `udpin:` waits at one and answers whoever spoke last."""
+    """One UDP way: `udpout:` speaks first to an address, `udpin:` waits at one and answers whoever spoke last.
+
+    Raises ValueError for a `uri` that is none, OSError for an address that cannot be had.
+    """
 
     def __init__(self, uri: str):
         kind, _, address = uri.partition(":")
         host, _, port = address.rpartition(":")
-        if kind not in ("udpout", "udpin") or not port.isdigit():
-            raise ValueError(f"a port is written udpout:HOST:PORT or udpin:HOST:PORT, not {uri!r}")
+        if kind not in ("udpout", "udpin") or not port.isdecimal() or int(port) > LAST_PORT:
+            raise ValueError(f"must be udpout:HOST:PORT or udpin:HOST:PORT with a port up to {LAST_PORT}, not {uri!r}")
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.setblocking(False)
         self._peer: tuple[str, int] | None = None
-        if kind == "udpin":
-            self.socket.bind((host, int(port)))
-        else:
-            self._peer = (socket.gethostbyname(host), int(port))
-            self.socket.bind(("", 0))
+        try:
+            if kind == "udpin":
+                self.socket.bind((host, int(port)))
+            else:
+                self._peer = (socket.gethostbyname(host), int(port))
+                self.socket.bind(("", 0))
+        except OSError:
+            self.close()
+            raise
 
     def receive(self) -> list[bytes]:
         """Every datagram that waits."""
@@ -92,8 +100,58 @@ class UdpPort:
         self.socket.close()
 
 
+def check(options: Options) -> None:
+    """Raises ValueError for the first number that is out of its range."""
+    from_0 = {
+        "--height-m": options.height_m,
+        "--wind-m-s": options.wind_m_s,
+        "--seed": options.seed,
+        "--seconds": options.seconds,
+    }
+    for option, value in from_0.items():
+        if not 0.0 <= value < math.inf:
+            raise ValueError(f"{option} must be a finite number of at least 0, not {value:g}")
+    if not 0.0 < options.speedup < math.inf:
+        raise ValueError(f"--speedup must be a finite number above 0, not {options.speedup:g}")
+    if not math.isfinite(options.heading_deg):
+        raise ValueError(f"--heading-deg must be a finite number, not {options.heading_deg:g}")
+
+
+def finite(text: str) -> float:
+    """The number that `text` is; raises ValueError when it is none or not finite."""
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"{text} is not finite")
+    return value
+
+
+def set_parameter(known: dict[str, float | int], setting: str) -> None:
+    """Obey one NAME=VALUE; raises ValueError for a name that is not in `known` or a value that is no finite number."""
+    name, _, text = setting.partition("=")
+    if name not in known:
+        raise ValueError(f"--set must name a parameter of these rules, not {name!r}")
+    try:
+        known[name] = type(known[name])(finite(text))
+    except ValueError as error:
+        raise ValueError(f"--set must be NAME=VALUE with a finite number, not {setting!r}") from error
+
+
+@contextlib.contextmanager
+def open_port(option: str, uri: str) -> Generator[UdpPort, None, None]:
+    """The port that an option asks for, given back at the end; raises ValueError when it cannot be had."""
+    try:
+        port = UdpPort(uri)
+    except ValueError as error:
+        raise ValueError(f"{option} {error}") from error
+    except OSError as error:
+        raise ValueError(f"{option} must be an address that can be had, not {uri!r}: {error}") from error
+    with contextlib.closing(port):
+        yield port
+
+
 def build(options: Options) -> AutopilotSystem:
-    """The system that the options describe."""
+    """The system that the options describe; raises ValueError for options that break a rule, OSError without a key."""
+    check(options)
     start = Motion(down_m=-options.height_m, yaw_rad=math.radians(options.heading_deg))
     wind = Wind(options.wind_m_s, toward_rad=math.pi / 2)
     vehicle = Vehicle(Autopilot(options.rules), start, wind, options.seed)
@@ -103,12 +161,8 @@ def build(options: Options) -> AutopilotSystem:
     links = 2 if options.gcs else 1
     signing_time = round((time.time() - SIGNING_EPOCH_S) * SIGNING_UNITS_PER_S)
     system = AutopilotSystem(Autopilot(options.rules), vehicle, links, key=key, signing_time=signing_time)
-    known = system.flight.parameters
     for setting in options.set:
-        name, _, value = setting.partition("=")
-        if name not in known:
-            raise ValueError(f"--set knows no parameter {name!r} of {options.rules}")
-        known[name] = type(known[name])(float(value))
+        set_parameter(system.flight.parameters, setting)
     return system
 
 
@@ -128,17 +182,18 @@ def run(system: AutopilotSystem, ports: list[UdpPort], is_over: Callable[[], boo
 
 
 def main() -> None:
-    """Run until interrupted."""
+    """Run until interrupted; bad options are one sentence and exit status 2."""
     options = tyro.cli(Options, description=__doc__)
-    try:
-        system = build(options)
-        ports = [UdpPort(uri) for uri in (options.connect, options.gcs) if uri]
-    except (ValueError, OSError) as error:
-        sys.exit(f"sim.autopilot: {error}")
-    with contextlib.suppress(KeyboardInterrupt):
-        run(system, ports, lambda: 0.0 < options.seconds <= system.t_s, options.speedup)
-    for port in ports:
-        port.close()
+    addresses = {"--connect": options.connect} | ({"--gcs": options.gcs} if options.gcs else {})
+    with contextlib.ExitStack() as stack:
+        try:
+            system = build(options)
+            ports = [stack.enter_context(open_port(option, uri)) for option, uri in addresses.items()]
+        except (ValueError, OSError) as error:
+            sys.stderr.write(f"sim.autopilot: {error}\n")
+            sys.exit(2)
+        with contextlib.suppress(KeyboardInterrupt):
+            run(system, ports, lambda: 0.0 < options.seconds <= system.t_s, options.speedup)
 
 
 if __name__ == "__main__":

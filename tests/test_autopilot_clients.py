@@ -17,7 +17,7 @@ from mavsdk.plugins.offboard import Offboard, VelocityBodyYawspeed
 from mavsdk.plugins.telemetry import Telemetry
 from pymavlink.dialects.v20 import common as dialect
 
-from sim.autopilot import Options, build
+from sim.autopilot import Options, build, main
 
 BOTH = pytest.mark.parametrize("rules", ["px4", "ardupilot"])
 SPEEDUP = 6.0
@@ -160,9 +160,44 @@ def test_a_client_with_the_same_key_and_the_clocks_time_takes_what_a_new_autopil
         ears.parse_buffer(packet)  # raises MAVError for a refused signature
 
 
+FROM_0 = ("height-m", "wind-m-s", "seconds")
+NUMBER = "must be a finite number of at least 0, not"
+PORT = "must be udpout:HOST:PORT or udpin:HOST:PORT with a port up to 65535, not"
+SETTING = "--set must be NAME=VALUE with a finite number, not"
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "said"),
+    [
+        ("--connect", "nowhere", f"--connect {PORT} 'nowhere'"),
+        ("--connect", "udpout:127.0.0.1:99999", f"--connect {PORT} 'udpout:127.0.0.1:99999'"),
+        ("--gcs", "udpin:127.0.0.1:99999", f"--gcs {PORT} 'udpin:127.0.0.1:99999'"),
+        ("--connect", "udpin:192.0.2.1:14540", "--connect must be an address that can be had, not 'udpin:192.0.2.1"),
+        ("--set", "GF_ACTION", f"{SETTING} 'GF_ACTION'"),
+        ("--set", "GF_ACTION=abc", f"{SETTING} 'GF_ACTION=abc'"),
+        ("--set", "GF_ACTION=nan", f"{SETTING} 'GF_ACTION=nan'"),
+        ("--set", "COM_OF_LOSS_T=inf", f"{SETTING} 'COM_OF_LOSS_T=inf'"),
+        ("--set", "GUID_TIMEOUT=1", "--set must name a parameter of these rules, not 'GUID_TIMEOUT'"),
+        *[(f"--{name}", bad, f"--{name} {NUMBER} {bad}") for name in FROM_0 for bad in ("nan", "-1", "inf")],
+        ("--seed", "-1", f"--seed {NUMBER} -1"),
+        *[("--speedup", bad, f"--speedup must be a finite number above 0, not {bad}") for bad in ("nan", "0", "-2")],
+        ("--heading-deg", "nan", "--heading-deg must be a finite number, not nan"),
+    ],
+)
+def test_a_bad_option_is_one_sentence_that_names_option_rule_and_value(option, value, said, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["sim.autopilot", "--connect", "udpout:127.0.0.1:9", option, value])
+    monkeypatch.setattr("sim.autopilot.run", lambda *_: pytest.fail("it started"))
+    with pytest.raises(SystemExit) as left:
+        main()
+    stderr = capsys.readouterr().err
+    assert left.value.code == 2
+    assert stderr.startswith(f"sim.autopilot: {said}")
+    assert stderr.count("\n") == 1
+
+
 def test_a_wrong_address_is_one_line_and_no_trace():
     call = [sys.executable, "-m", "sim.autopilot", "--connect", "nowhere"]
     done = subprocess.run(call, capture_output=True, text=True, timeout=30, check=False)
-    assert done.returncode == 1
+    assert done.returncode == 2
     assert done.stderr.strip().count("\n") == 0
     assert "udpout:HOST:PORT" in done.stderr
