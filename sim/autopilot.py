@@ -20,12 +20,12 @@ from typing import Annotated, Literal
 import tyro
 
 from follow.messages import Autopilot
-from sim.autopilot_system import SIGNING_UNITS_PER_S, AutopilotSystem
+from follow.signing import EPOCH_S, UNITS_PER_S, read_key
+from sim.autopilot_system import AutopilotSystem
 from sim.dynamics import Motion, Vehicle, Wind
 
 LAST_PORT = 65535
 STEP_S = 0.005  # twice as often as the fastest telemetry that is asked for in practice
-SIGNING_EPOCH_S = 1_420_070_400  # 2015-01-01 00:00 UTC in Unix time
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,7 @@ class Options:
     seconds: float = 0.0
     """End after this many simulated seconds; 0 never."""
     signing_key: Path | None = None
-    """A file with 32 bytes: sign packets and accept only signed ones."""
+    """A file with 32 bytes, raw or hexadecimal, its owner's alone: sign packets and accept only signed ones."""
     set: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """NAME=VALUE of a parameter, repeatable."""
 
@@ -155,11 +155,9 @@ def build(options: Options) -> AutopilotSystem:
     start = Motion(down_m=-options.height_m, yaw_rad=math.radians(options.heading_deg))
     wind = Wind(options.wind_m_s, toward_rad=math.pi / 2)
     vehicle = Vehicle(Autopilot(options.rules), start, wind, options.seed)
-    key = options.signing_key.read_bytes() if options.signing_key else None
-    if key is not None and len(key) != 32:
-        raise ValueError(f"--signing-key {options.signing_key} must hold 32 bytes, not {len(key)}")
+    key = read_key(options.signing_key) if options.signing_key else None
     links = 2 if options.gcs else 1
-    signing_time = round((time.time() - SIGNING_EPOCH_S) * SIGNING_UNITS_PER_S)
+    signing_time = round((time.time() - EPOCH_S) * UNITS_PER_S)
     system = AutopilotSystem(Autopilot(options.rules), vehicle, links, key=key, signing_time=signing_time)
     for setting in options.set:
         set_parameter(system.flight.parameters, setting)

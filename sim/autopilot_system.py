@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from pymavlink.dialects.v20 import common as dialect
 
 from follow.messages import Autopilot
+from follow.signing import UNITS_PER_S
 from sim.autopilot_flight import NO_PWM, Flight, Result
 from sim.autopilot_rules import RULES
 from sim.autopilot_telemetry import ORIGINS, REPORTS, UNASKED_HZ, Message
@@ -21,7 +22,6 @@ PARAMETER_TYPES = {
     Autopilot.PX4: {int: dialect.MAV_PARAM_TYPE_INT32, float: dialect.MAV_PARAM_TYPE_REAL32},
     Autopilot.ARDUPILOT: {int: dialect.MAV_PARAM_TYPE_INT16, float: dialect.MAV_PARAM_TYPE_REAL32},
 }
-SIGNING_UNITS_PER_S = 100_000  # MAVLink 2 signs with a time in units of 10 us
 NO_AXIS = 0x7FFF  # MANUAL_CONTROL: the remote control has no such stick
 KEEP, RELEASE = 0xFFFF, 0  # RC_CHANNELS_OVERRIDE: leave the channel as it is; give it back
 # What the old REQUEST_DATA_STREAM switches on, all groups together
@@ -91,7 +91,7 @@ class AutopilotSystem:
         ardupilot = self.flight.autopilot is Autopilot.ARDUPILOT
         for way in self._links:
             signing = way.mav.signing
-            signing.timestamp = max(signing.timestamp, self._signing_time + round(t_s * SIGNING_UNITS_PER_S))
+            signing.timestamp = max(signing.timestamp, self._signing_time + round(t_s * UNITS_PER_S))
             if ardupilot and self.flight.mode != self._told_mode:
                 way.due_t_s[dialect.MAVLINK_MSG_ID_HEARTBEAT] = t_s  # it tells a new mode at once
             for number, every_s in way.every_s.items():

@@ -7,6 +7,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 SIM_MAY_SEE = {
+    "follow.signing",
     "follow.messages",
     "follow.geometry",
     "follow.mavlink",
