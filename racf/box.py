@@ -10,7 +10,7 @@ from typing_extensions import Self
 class Box:
     """An axis-aligned rectangle in 0-based pixels; the centre is at `x + w/2, y + h/2`.
 
-    Raises ValueError when a number is not finite or a side is not positive.
+    Any kind of number becomes a float.  Raises ValueError when one is none or not finite, or a side is not positive.
     """
 
     x: float
@@ -19,7 +19,14 @@ class Box:
     h: float
 
     def __post_init__(self) -> None:
-        if not all(math.isfinite(v) for v in (self.x, self.y, self.w, self.h)):
+        given = (self.x, self.y, self.w, self.h)
+        try:
+            x, y, w, h = map(float, given)  # a narrow numpy scalar would overflow in sums and products
+        except (TypeError, ValueError, OverflowError):
+            raise ValueError(f"a box needs four finite numbers, not {','.join(map(str, given))}") from None
+        for name, value in zip("xywh", (x, y, w, h), strict=True):
+            object.__setattr__(self, name, value)
+        if not all(math.isfinite(v) for v in (x, y, w, h)):
             raise ValueError(f"a box needs four finite numbers, not {self}")
         if self.w <= 0 or self.h <= 0:
             raise ValueError(f"a box needs a positive width and height, not {self}")

@@ -1,3 +1,4 @@
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -32,3 +33,18 @@ def test_a_bad_box_is_refused_in_one_sentence(text):
     with pytest.raises(ValueError, match="a box") as caught:
         Box.parse(text)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.int16, np.float32, np.float64, int])
+def test_any_kind_of_number_makes_a_box_of_floats(kind):
+    box = Box(*map(kind, (200, 100, 40, 30)))
+    assert [type(v) for v in (box.x, box.y, box.w, box.h)] == [float] * 4
+    assert box == Box(200.0, 100.0, 40.0, 30.0)
+    assert box.area == 1200
+    assert box.intersection(Box(0, 0, 1280, 720)) == 1200
+
+
+@pytest.mark.parametrize("thing", [None, "wide", 1j, [1, 2], 10**400], ids=["None", "word", "complex", "list", "huge"])
+def test_what_is_no_number_is_refused_in_one_sentence(thing):
+    with pytest.raises(ValueError, match="a box needs four finite numbers, not 1,2,"):
+        Box(1, 2, thing, 4)
