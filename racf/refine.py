@@ -42,6 +42,9 @@ class Refiner:
     and surroundings hardly change from frame to frame: the models are renewed every `refine_renew` frames.  Where
     segments keep being rejected, trying pays less and less: after k rejections k frames are skipped, at most
     `refine_pause`.
+
+    As a side effect, learning the models seeds OpenCV's random generator anew (`cv2.setRNGSeed(0)`), so that equal
+    pictures give equal masks.
     """
 
     def __init__(self, params: Params) -> None:
@@ -141,11 +144,13 @@ class Refined:
 
     def __init__(self, tracker: OpenCvTracker, params: Params | None = None) -> None:
         self.tracker = tracker
-        self.refiner = Refiner(params or Params())
+        self.params = params or Params()
+        self.refiner = Refiner(self.params)
 
     def init(self, image: UInt8, box: tuple[int, int, int, int]) -> None:
-        """Start on a box (x, y, w, h)."""
+        """Start on a box (x, y, w, h); nothing of an earlier target is remembered."""
         self.tracker.init(image, box)
+        self.refiner = Refiner(self.params)
 
     def update(self, image: UInt8) -> tuple[bool, tuple[float, float, float, float]]:
         """The tracker's answer, its box refined where the segmentation can be trusted."""

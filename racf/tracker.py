@@ -30,7 +30,8 @@ class Racf:
         track = tracker.init(image, box)
         track = tracker.update(next_image)
 
-    Pictures are uint8, (rows, columns, 3) in BGR or (rows, columns) in grey, all of one size.
+    Pictures are uint8, (rows, columns, 3) in BGR or (rows, columns) in grey, all of one size.  The refinement seeds
+    OpenCV's random generator anew as a side effect (see `racf.Refiner`).
     """
 
     def __init__(self, params: Params | None = None) -> None:
@@ -40,6 +41,7 @@ class Racf:
     def init(self, image: UInt8, box: Box) -> Track:
         """Start on the target in `box`; raises ValueError if picture or box are not fit to start on."""
         check_image(image)
+        _check_box(box, "target")
         rows, cols = image.shape[:2]
         if box.intersection(Box(0, 0, cols, rows)) <= 0:
             raise ValueError(f"target {box} lies outside the {cols}x{rows} picture")
@@ -62,8 +64,13 @@ class Racf:
         return Track(box, self._filter.region(box), psr=0.0, apce=0.0, confidence=1.0)
 
     def update(self, image: UInt8, prior: Box | None = None) -> Track:
-        """Find the target in the next picture; `prior`: where the caller expects it, if it knows better."""
+        """Find the target in the next picture; `prior`: where the caller expects it, if it knows better.
+
+        Raises ValueError if the picture is not like the first one, or before any target was given.
+        """
         self._check_next(image)
+        if prior is not None:
+            _check_box(prior, "prior")
         params, clock, before = self.params, _Stopwatch(), self._box
         ego = (0.0, 0.0) if self._ego is None else self._ego.shift(image)
         expected = self._expected(prior, ego)
@@ -178,6 +185,11 @@ def check_image(image: object) -> None:
         raise ValueError(f"a picture has the shape (rows, columns) or (rows, columns, 3), not {image.shape}")
     if image.size == 0:
         raise ValueError(f"a picture has at least one pixel, not the shape {image.shape}")
+
+
+def _check_box(box: object, what: str) -> None:
+    if not isinstance(box, Box):
+        raise ValueError(f"a {what} is a racf.Box(x, y, w, h), not {box!r}")
 
 
 def warm_up() -> float:

@@ -98,6 +98,7 @@ def test_a_target_larger_than_half_the_frame_is_tracked():
         (np.zeros((90, 90, 4), np.uint8), Box(1, 1, 5, 5), r"not \(90, 90, 4\)"),
         (np.zeros((90, 90, 3), np.uint8), Box(100, 1, 5, 5), "target 100,1,5,5 lies outside the 90x90 picture"),
         (np.zeros((90, 90, 3), np.uint8), Box(1, 1, 1, 5), "at least 2 pixels"),
+        (np.zeros((90, 90, 3), np.uint8), (1, 1, 5, 5), r"a target is a racf\.Box\(x, y, w, h\), not \(1, 1, 5, 5\)"),
     ],
 )
 def test_what_cannot_be_tracked_is_refused_in_one_sentence(image, box, message):
@@ -110,6 +111,13 @@ def test_a_changed_frame_size_is_refused():
     tracker.init(scene(100, 100, 40), around(100, 100, 40))
     with pytest.raises(ValueError, match=r"shape \(240, 320, 3\), not \(100, 320, 3\)"):
         tracker.update(scene(100, 50, 40, (100, 320)))
+
+
+def test_a_prior_that_is_no_box_is_refused():
+    tracker = Racf()
+    tracker.init(scene(100, 100, 40), around(100, 100, 40))
+    with pytest.raises(ValueError, match=r"a prior is a racf\.Box"):
+        tracker.update(scene(100, 100, 40), (80, 80, 40, 40))
 
 
 def test_update_before_init_is_refused():
