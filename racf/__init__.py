@@ -11,11 +11,12 @@ if TYPE_CHECKING:
     from racf.params import preset as preset
     from racf.refine import Refined as Refined
     from racf.refine import Refiner as Refiner
+    from racf.threads import one_core as one_core
     from racf.track import Track as Track
     from racf.tracker import Racf as Racf
     from racf.tracker import warm_up as warm_up
 
-__all__ = ["Box", "Params", "Racf", "Refined", "Refiner", "Track", "preset", "warm_up"]
+__all__ = ["Box", "Params", "Racf", "Refined", "Refiner", "Track", "one_core", "preset", "warm_up"]
 
 _HOME = {
     "Box": "racf.box",
@@ -24,6 +25,7 @@ _HOME = {
     "Refined": "racf.refine",
     "Refiner": "racf.refine",
     "Track": "racf.track",
+    "one_core": "racf.threads",
     "preset": "racf.params",
     "warm_up": "racf.tracker",
 }

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import pytest
 
+import racf
+
 ROOT = Path(__file__).parents[1]
 SIM_MAY_SEE = {
     "follow.signing",
@@ -45,3 +47,10 @@ def test_the_simulator_reaches_only_messages_geometry_and_boxes(path):
     for name in imports(path) - {"follow", "racf"}:
         if not name.startswith("sim"):
             assert any(name == seen or name.startswith(seen + ".") for seen in SIM_MAY_SEE), name
+
+
+def test_every_public_name_of_the_tracker_is_there():
+    assert "one_core" in racf.__all__
+    assert all(callable(getattr(racf, name)) for name in racf.__all__)
+    with pytest.raises(AttributeError, match="has no attribute 'two_cores'"):
+        _ = racf.two_cores
