@@ -16,11 +16,12 @@ def shrunk(image: UInt8, region: tuple[float, float, float, float], factor: int)
     """The part of `image` under `region` (x, y, w, h), averaged over `factor` x `factor` blocks, as (H, W, C).
 
     Returns the part and where its top-left corner lies, in the frame's pixels.  Averaging first is what keeps fine
-    texture from aliasing when a large target is resampled; with factor 1 the frame itself is returned.
+    texture from aliasing when a large target is resampled; with factor 1 the frame itself is returned.  The part cannot
+    be written to, whether the frame can or not: numba would compile every kernel once for each.
     """
     layered = image if image.ndim == 3 else image[..., None]
     if factor <= 1:
-        return np.ascontiguousarray(layered), 0.0, 0.0
+        return _read_only(np.ascontiguousarray(layered)), 0.0, 0.0
     rows, cols = image.shape[:2]
     x, y, w, h = region
     left = min(max(math.floor(x) - factor, 0), cols - 1)
@@ -30,7 +31,14 @@ def shrunk(image: UInt8, region: tuple[float, float, float, float], factor: int)
     wide, high = max(wide // factor, 1) * factor, max(high // factor, 1) * factor
     part = image[top : top + high, left : left + wide]
     small = cv2.resize(part, (max(wide // factor, 1), max(high // factor, 1)), interpolation=cv2.INTER_AREA)
-    return np.asarray(small, dtype=np.uint8).reshape(*small.shape[:2], layered.shape[2]), float(left), float(top)
+    small = np.asarray(small, dtype=np.uint8).reshape(*small.shape[:2], layered.shape[2])
+    return _read_only(small), float(left), float(top)
+
+
+def _read_only(image: UInt8) -> UInt8:
+    view = image.view()
+    view.flags.writeable = False
+    return view
 
 
 @numba.njit(cache=True, fastmath=True)

@@ -44,7 +44,7 @@ class Racf:
 
     def init(self, image: UInt8, box: Box) -> Track:
         """Start on the target in `box`; raises ValueError if picture or box are not fit to start on."""
-        check_image(image)
+        image = _picture(image)
         _check_box(box, "target")
         rows, cols = image.shape[:2]
         if box.intersection(Box(0, 0, cols, rows)) <= 0:
@@ -72,7 +72,7 @@ class Racf:
 
         Raises ValueError if the picture is not like the first one, or before any target was given.
         """
-        self._check_next(image)
+        image = self._next_picture(image)
         if prior is not None:
             _check_box(prior, "prior")
         params, clock, before = self.params, _Stopwatch(), self._box
@@ -124,12 +124,13 @@ class Racf:
             stage_ms=clock.laps,
         )
 
-    def _check_next(self, image: UInt8) -> None:
+    def _next_picture(self, image: UInt8) -> UInt8:
         if self._frame_shape is None:
             raise ValueError("the tracker must be given a target with init before update")
-        check_image(image)
+        image = _picture(image)
         if image.shape != self._frame_shape:
             raise ValueError(f"pictures must keep the first one's shape {self._frame_shape}, not {image.shape}")
+        return image
 
     def _expected(self, prior: Box | None, ego: tuple[float, float]) -> Box:
         """The last box where it should be by now: at the caller's prior, or moved as camera and target moved."""
@@ -189,6 +190,12 @@ def check_image(image: object) -> None:
         raise ValueError(f"a picture has the shape (rows, columns) or (rows, columns, 3), not {image.shape}")
     if image.size == 0:
         raise ValueError(f"a picture has at least one pixel, not the shape {image.shape}")
+
+
+def _picture(image: UInt8) -> UInt8:
+    """The checked picture in one piece: a view is copied once here, or every sample would copy it."""
+    check_image(image)
+    return np.ascontiguousarray(image)
 
 
 def _check_box(box: object, what: str) -> None:

@@ -1,12 +1,15 @@
 """The whole tracker on rendered pictures: geometry, odd inputs, refusals."""
 
 import dataclasses
+import sys
 
 import cv2
 import numpy as np
 import pytest
+from numba.core.dispatcher import Dispatcher
 
-from racf import Box, Racf, preset
+from racf import Box, Racf, preset, warm_up
+from racf.patch import shrunk
 
 TEXTURE = cv2.GaussianBlur(np.random.default_rng(5).integers(0, 256, (700, 900, 3), dtype=np.uint8), (0, 0), 3)
 TEXTURE = cv2.normalize(TEXTURE, None, 0, 255, cv2.NORM_MINMAX)
@@ -118,6 +121,60 @@ def test_a_prior_that_is_no_box_is_refused():
     tracker.init(scene(100, 100, 40), around(100, 100, 40))
     with pytest.raises(ValueError, match=r"a prior is a racf\.Box"):
         tracker.update(scene(100, 100, 40), (80, 80, 40, 40))
+
+
+def read_only(image: np.ndarray) -> np.ndarray:
+    return np.frombuffer(image.tobytes(), np.uint8).reshape(image.shape)
+
+
+def reversed_channels(image: np.ndarray) -> np.ndarray:
+    return image[:, :, ::-1].copy()[:, :, ::-1]
+
+
+def compiled_kernels() -> dict[str, int]:
+    """How many types of arguments each kernel was compiled, or loaded, for."""
+    kernels = (
+        thing for name, module in sys.modules.items() if name.startswith("racf.") for thing in vars(module).values()
+    )
+    return {kernel.__name__: len(kernel.signatures) for kernel in kernels if isinstance(kernel, Dispatcher)}
+
+
+@pytest.mark.parametrize("side", [40, 200])
+@pytest.mark.parametrize("kind", [read_only, reversed_channels, np.ascontiguousarray])
+@pytest.mark.parametrize("number", [float, int, np.float32])
+def test_after_the_warm_up_no_kind_of_picture_or_box_compiles_a_kernel(kind, number, side):
+    warm_up()
+    before, tracker = compiled_kernels(), Racf()
+    tracker.init(kind(scene(160, 120, side)), Box(*map(number, (160 - side / 2, 120 - side / 2, side, side))))
+    tracker.update(kind(scene(163, 120, side)))
+    assert compiled_kernels() == before
+
+
+@pytest.mark.parametrize("kind", [read_only, reversed_channels])
+def test_every_kind_of_picture_gives_the_same_boxes(kind):
+    def run(kind) -> list[Box]:
+        tracker = Racf()
+        tracker.init(kind(scene(100, 100, 40)), around(100, 100, 40))
+        return [tracker.update(kind(scene(100 + 3 * k, 100, 40))).box for k in range(3)]
+
+    assert run(kind) == run(np.ascontiguousarray)
+
+
+def test_a_view_is_copied_once_for_all_samples(monkeypatch):
+    sampled: list[np.ndarray] = []
+
+    def watched(image, *where):
+        sampled.append(image)
+        return shrunk(image, *where)
+
+    monkeypatch.setattr("racf.patch.shrunk", watched)
+    monkeypatch.setattr("racf.scale.shrunk", watched)
+    tracker = Racf()
+    tracker.init(reversed_channels(scene(100, 100, 40)), around(100, 100, 40))
+    tracker.update(reversed_channels(scene(103, 100, 40)))
+    assert len(sampled) > 4
+    assert all(image.flags.c_contiguous for image in sampled)
+    assert len({id(image) for image in sampled}) == 2
 
 
 def test_update_before_init_is_refused():
