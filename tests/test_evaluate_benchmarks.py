@@ -75,10 +75,22 @@ def test_a_plain_folder_is_searched_a_few_levels_deep(benchmark, tmp_path):
     assert [s.name for s in read_benchmark("folder", tmp_path)] == ["one", "two"]
 
 
-def test_sequences_of_one_name_are_told_apart_by_their_benchmark(tmp_path):
+def test_sequences_of_one_name_are_told_apart_by_their_folder(tmp_path):
     rendered.plain_folder(tmp_path, ("walk",), benchmark="a")
     rendered.plain_folder(tmp_path, ("walk", "run"), benchmark="b")
     assert [s.name for s in read_benchmark("folder", tmp_path)] == ["a/walk", "run", "b/walk"]
+
+
+def test_sequences_of_one_name_and_one_folder_name_are_told_apart_by_their_path(tmp_path):
+    for where in ("A/train", "B/train"):
+        rendered.plain_folder(tmp_path, ("car1",), benchmark=where)
+    assert [s.name for s in read_benchmark("folder", tmp_path)] == ["A/train/car1", "B/train/car1"]
+
+
+def test_annotations_of_one_name_are_told_apart_by_their_path(tmp_path):
+    for where in ("x/anno", "y/anno", "anno"):
+        rendered.write_truth(tmp_path / where / "walk.txt", rendered.path_of_target(4))
+    assert {s.name for s in read_benchmark("folder", tmp_path)} == {"walk", "x/walk", "y/walk"}
 
 
 @pytest.mark.parametrize("delimiter", [",", "\t", " ", ", "])

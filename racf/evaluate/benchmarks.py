@@ -72,7 +72,7 @@ def is_known(name: str) -> bool:
 
 
 def read_benchmark(name: str, root: Path) -> list[Sequence]:
-    """All sequences of a benchmark in its native layout, by name.
+    """All sequences of a benchmark in its native layout, by name; by their path below `root` where names repeat.
 
     Raises ValueError for an unknown benchmark or a layout that is not found, and for a sequence whose frames and
     annotations do not belong together.
@@ -81,11 +81,10 @@ def read_benchmark(name: str, root: Path) -> list[Sequence]:
         raise ValueError(f"benchmark {name!r} is not known; known are {', '.join(BENCHMARKS)}")
     if not root.is_dir():
         raise FileNotFoundError(f"{root} is not a folder")
-    sequences = sorted(_READERS[_key(name)](root), key=lambda s: (s.benchmark, s.name))
+    sequences = sorted(_READERS[_key(name)](root), key=lambda s: (s.benchmark, Path(s.name).name, s.name))
     if not sequences:
         raise ValueError(f"{root} holds no sequence in the layout of {name!r} (see the table in docs/evaluation.md)")
-    often = Counter(s.name for s in sequences)
-    return [replace(s, name=f"{s.benchmark}/{s.name}") if often[s.name] > 1 else s for s in sequences]
+    return sequences
 
 
 def _key(name: str) -> str:
@@ -94,14 +93,21 @@ def _key(name: str) -> str:
 
 def _read_folder(root: Path) -> Iterator[Sequence]:
     found = list(_sequence_folders(root, DEEPEST))
-    for folder, truth_path in found:
+    names = _names([folder for folder, _ in found], root)
+    for name, (folder, truth_path) in zip(names, found, strict=True):
         truth = read_boxes(truth_path)
         inside = folder / "img"
         frames = all_frames(inside if inside.is_dir() else folder)
         benchmark = folder.resolve().parent.name
-        yield Sequence(folder.name, benchmark, truth, _matching(frames, truth, truth_path), missing=f"{folder}/*.jpg")
+        yield Sequence(name, benchmark, truth, _matching(frames, truth, truth_path), missing=f"{folder}/*.jpg")
     if not found:
         yield from _annotations_only(root)
+
+
+def _names(places: list[Path], root: Path) -> list[str]:
+    """The last part of each path, the whole of it below `root` where several end alike."""
+    often = Counter(place.name for place in places)
+    return [place.name if often[place.name] == 1 else place.relative_to(root).as_posix() for place in places]
 
 
 def _sequence_folders(folder: Path, depth: int) -> Iterator[tuple[Path, Path]]:
@@ -118,9 +124,10 @@ def _sequence_folders(folder: Path, depth: int) -> Iterator[tuple[Path, Path]]:
 
 def _annotations_only(root: Path) -> Iterator[Sequence]:
     """`ROOT/anno/<name>.txt`, or one such folder for each benchmark in ROOT."""
-    for path in sorted([*root.glob("anno/*.txt"), *root.glob("*/anno/*.txt")]):
-        benchmark = path.parents[1]
-        yield Sequence(path.stem, benchmark.resolve().name, read_boxes(path), missing=str(benchmark / path.stem))
+    paths = sorted([*root.glob("anno/*.txt"), *root.glob("*/anno/*.txt")])
+    places = [path.parents[1] / path.stem for path in paths]
+    for name, place, path in zip(_names(places, root), places, paths, strict=True):
+        yield Sequence(name, place.parent.resolve().name, read_boxes(path), missing=str(place))
 
 
 def _read_uav123(root: Path, subset: str, frames_left_out: int) -> Iterator[Sequence]:
