@@ -5,13 +5,18 @@ running means; the response over scales is F^-1( sum_d num . zsᶠ / (den + lamb
 """
 
 import functools
+import hashlib
 import math
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from racf import hog
+from racf import patch as patches
 from racf.box import Box
 from racf.params import Params
 from racf.patch import bilinear, shrunk
@@ -86,18 +91,36 @@ class ScaleFilter:
         self._den += rate * (den - self._den)
 
 
-@numba.njit(cache=True, fastmath=True)
-def _describe(
-    source: UInt8, factors: NDArray[np.float64], target: tuple[float, float, float, float], cell: int,
-    bins: UInt8, patch: UInt8, out: Float32,
-) -> None:  # fmt: skip
-    """FHOG of `target` (centre x, y, w, h) at each scale into `out` (s, rows, cols, 31); `patch` is scratch."""
-    x, y, w, h = target
-    for i in range(factors.size):
-        step_x, step_y = w * factors[i] / patch.shape[2], h * factors[i] / patch.shape[1]
-        first_x, first_y = x - step_x * (patch.shape[2] - 1) / 2 - 0.5, y - step_y * (patch.shape[1] - 1) / 2 - 0.5
-        bilinear(source, first_x, step_x, first_y, step_y, patch)
-        hog.fhog(patch, cell, bins, out[i])
+def _compiled(calls: str) -> Callable[..., None]:
+    """The kernel `describe`; `calls` is a digest of the files whose kernels it calls.
+
+    numba's cache asks only the kernel's own file whether it changed, and would go on with machine code of the others as
+    they were; but what a kernel closes over belongs to its key.
+    """
+
+    @numba.njit(cache=True, fastmath=True)
+    def describe(
+        source: UInt8, factors: NDArray[np.float64], target: tuple[float, float, float, float], cell: int,
+        bins: UInt8, patch: UInt8, out: Float32,
+    ) -> None:  # fmt: skip
+        """FHOG of `target` (centre x, y, w, h) at each scale into `out` (s, rows, cols, 31); `patch` is scratch."""
+        _ = calls
+        x, y, w, h = target
+        for i in range(factors.size):
+            step_x, step_y = w * factors[i] / patch.shape[2], h * factors[i] / patch.shape[1]
+            first_x, first_y = x - step_x * (patch.shape[2] - 1) / 2 - 0.5, y - step_y * (patch.shape[1] - 1) / 2 - 0.5
+            bilinear(source, first_x, step_x, first_y, step_y, patch)
+            hog.fhog(patch, cell, bins, out[i])
+
+    return describe
+
+
+def _digest(*modules: ModuleType) -> str:
+    """Of their source."""
+    return hashlib.sha256(b"".join(Path(str(m.__file__)).read_bytes() for m in modules)).hexdigest()
+
+
+_describe = _compiled(_digest(patches, hog))
 
 
 @functools.lru_cache(maxsize=4)

@@ -1,8 +1,12 @@
 """Compiling is announced: a first start that seems to hang would be killed."""
 
 import os
+import shutil
 import subprocess
 import sys
+from pathlib import Path
+
+import racf
 
 ONE_KERNEL = """
 import numpy as np
@@ -12,11 +16,24 @@ _apply_window(np.ones((2, 2, 3), np.float32), np.ones((2, 2), np.float32))
 """
 
 
+FEATURES_OVER_SCALES = """
+import numpy as np
+from racf import Box, Params
+from racf.scale import ScaleFilter
+image = np.random.default_rng(0).integers(0, 256, (60, 60), dtype=np.uint8)
+print(abs(ScaleFilter(Params(), 20, 20).sample(image, Box(20, 20, 20, 20))).sum())
+"""
+
+
+def fresh_process(program: str, cache: Path, root: Path | None = None) -> subprocess.CompletedProcess[str]:
+    """Run a program with numba's cache in a folder, on the package of another root if there is one."""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache)}
+    command = [sys.executable, "-c", program]
+    return subprocess.run(command, env=environment, cwd=root, capture_output=True, text=True, check=True, timeout=120)
+
+
 def said_with_cache_in(folder) -> str:
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder)}
-    run = subprocess.run(
-        [sys.executable, "-c", ONE_KERNEL], env=environment, capture_output=True, text=True, check=True, timeout=120
-    )
+    run = fresh_process(ONE_KERNEL, folder)
     assert not run.stdout
     return run.stderr
 
@@ -26,3 +43,17 @@ def test_a_cold_cache_is_announced_in_one_line_and_a_warm_one_is_not(tmp_path):
     assert cold.count("\n") == 1
     assert cold.startswith("compiling the tracker's kernels")
     assert said_with_cache_in(tmp_path) == ""
+
+
+def test_an_edit_of_another_kernels_file_leaves_no_stale_machine_code(tmp_path):
+    shutil.copytree(Path(racf.__file__).parent, tmp_path / "racf", ignore=shutil.ignore_patterns("__pycache__"))
+    hog = tmp_path / "racf" / "hog.py"
+
+    def features() -> str:
+        return fresh_process(FEATURES_OVER_SCALES, tmp_path / "cache", tmp_path).stdout
+
+    before, source = features(), hog.read_text()
+    assert features() == before
+    assert "CLIP = 0.2" in source
+    hog.write_text(source.replace("CLIP = 0.2", "CLIP = 0.1"))
+    assert features() != before
