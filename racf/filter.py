@@ -1,15 +1,17 @@
 """The residue-aware correlation filter: the paper's Eq. 3, learned with ADMM.
 
-    E(f) = 1/2 |y - sum_d x_d * P f_d|^2 + eta/2 |sum_d delta_d * P f_d|^2
+    E(f) = 1/(2T) |y - sum_d x_d * P f_d|^2 + eta/(2T) |sum_d delta_d * P f_d|^2
          + theta/2 sum_d |w . f_d|^2 + tau/2 sum_d |f_d - f'_d|^2 + lambda/2 sum_d |f_d|^2        (f': last frame's f)
 
 Letters, beside the code's names: x model sample, delta `residue_f`, y label, f `filter` (m, n, D), g `response filter`
-(its spectrum without the support constraint), zeta Lagrangian, w bowl, P zero padding, mu penalty; a hat is `_f`.
-Spectra are (2, H, Wf, D) float32 planes (see `racf.fourier`).  BACF is the same with eta = theta = tau = 0; ARCF adds
-gamma/2 |M' - M|^2 (Eq. 2), which turns the data term into (1 + gamma) |M - (y + gamma M') / (1 + gamma)|^2.
+(its spectrum without the support constraint), zeta Lagrangian, w bowl, P zero padding, mu penalty, T = H W the number
+of samples; a hat is `_f`.  Spectra are (2, H, Wf, D) float32 planes (see `racf.fourier`).  BACF is the same with
+eta = theta = tau = 0; ARCF adds gamma/(2T) |M' - M|^2 (Eq. 2), which turns the data term into
+(1 + gamma) |M - (y + gamma M') / (1 + gamma)|^2 / (2T).
 
-The published trackers of this family weigh data against filter with a transform that is not unitary, so that their mu
-stands for T mu here, T = H W being the number of samples: the same is done below, in `shift`.
+Eq. 3 as printed lacks the 1/T: beside data and residue, lambda, theta and tau weigh T times as much here as they would
+there.  The published trackers of this family do so with mu: their transform is not unitary, so that their mu stands for
+T mu in the step of g, which `shift` below is; the step of f (Eq. 8) has mu beside lambda, theta and tau as printed.
 """
 
 from dataclasses import dataclass

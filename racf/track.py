@@ -16,9 +16,10 @@ class Track:
     pixels).  `psr` (peak to sidelobe ratio) and `apce` (average peak-to-correlation energy) say how sharp the
     response is; `confidence` in 0..1 says how far it can be believed, and `found` is the tracker's own verdict.
     `refined` tells whether the segmentation's box was accepted.  `response` (rows, columns, float32, peak of a
-    perfect match 1, target's old place in its middle) and `mask` (GrabCut's foreground, uint8 0/1, covering
-    `mask_box`) are there for the eye; they are None when not computed.  `stage_ms` holds the time of each
-    stage by name.
+    perfect match 1) has in its middle the place where the target was expected (the last box, the prior or what its
+    motion predicts), or the candidate's where a lost target was looked for further afield.  It and `mask` (GrabCut's
+    foreground, uint8 0/1, covering `mask_box`) are there for the eye; they are None when not computed.  `stage_ms`
+    holds the time of each stage by name.
     """
 
     box: Box

@@ -74,7 +74,10 @@ def test_the_compiled_step_equals_the_numpy_equation(gain):
 
 
 class Problem:
-    """Eq. 3 on a tiny grid, with circulant matrices built sample by sample: no Fourier transform in it."""
+    """Eq. 3 on a tiny grid, its data and residue terms divided by the number of samples (see `racf.filter`).
+
+    The circulant matrices are built sample by sample: no Fourier transform in it.
+    """
 
     def __init__(self, params: Params) -> None:
         rng = np.random.default_rng(3)
