@@ -98,7 +98,8 @@ def overlaps(boxes: Boxes, truth: Boxes) -> NDArray[np.float64]:
     near = np.maximum(boxes[:, :2], truth[:, :2])
     far = np.minimum(boxes[:, :2] + boxes[:, 2:], truth[:, :2] + truth[:, 2:])
     shared = np.prod(np.maximum(far - near, 0.0), axis=1)
-    return shared / (np.prod(boxes[:, 2:], axis=1) + np.prod(truth[:, 2:], axis=1) - shared)
+    union = np.prod(boxes[:, 2:], axis=1) + np.prod(truth[:, 2:], axis=1) - shared
+    return np.minimum(shared / union, 1.0)  # rounding can leave equal boxes a trifle above
 
 
 def interval_of_mean(values: list[float], *, resamples: int = 2000, seed: int = 0) -> tuple[float, float]:
