@@ -22,7 +22,7 @@ from racf.evaluate.boxfiles import write_boxes
 from racf.evaluate.pictures import frames_of
 from racf.evaluate.report import Report, Table, build_report
 from racf.evaluate.runner import Run, run_all, tasks
-from racf.evaluate.stored import Stored, read_stored, trackers_in, with_results
+from racf.evaluate.stored import Stored, read_stored, sequences_of_trackers, trackers_in, with_results
 from racf.evaluate.trackers import TrackerSpec
 
 WIDTH_IN_A_PIPE = 160  # columns, so that nothing is folded where no terminal says how wide it is
@@ -249,14 +249,31 @@ def _stored(imports: tuple[str, ...], sequences: list[Sequence], taken: set[str]
         folder = Path(place if equals else text)
         if not folder.is_dir():
             raise UsageError(f"--import {text}: {folder} is not a folder")
-        for name in [label] if equals else trackers_in(folder, sequences):
+        for name in [label] if equals else _whole(text, folder, sequences):
             stored = read_stored(folder, name, sequences)
             if not stored.boxes:
                 raise UsageError(f"--import {text}: {folder} has no boxes of {name} for any of the sequences")
-            found[name if name not in taken else f"{name} (stored)"] = stored
+            row = name if name not in taken else f"{name} (stored)"
+            if row in found:
+                raise UsageError(f"--import {text}: {row} is imported already; NAME=DIR gives it another name")
+            if len(stored.boxes) < len(sequences):
+                _say(
+                    f"--import {text}: {name} has boxes for {len(stored.boxes)} of {len(sequences)} sequences; "
+                    "the others are left out of the mean"
+                )
+            found[row] = stored
     if imports and not found:
         raise UsageError(f"--import {' '.join(imports)}: no boxes for any of the sequences")
     return found
+
+
+def _whole(text: str, folder: Path, sequences: list[Sequence]) -> list[str]:
+    """The trackers of a folder that have the most sequences; which ones are left out is said."""
+    names = trackers_in(folder, sequences)
+    for name, has in sequences_of_trackers(folder, sequences).items():
+        if has and name not in names:
+            _say(f"--import {text}: {name} is left out, for it has boxes for only {len(has)} of the sequences")
+    return names
 
 
 def _run(command: Eval, specs: list[TrackerSpec], sequences: list[Sequence]) -> dict[str, dict[str, list[Run]]]:

@@ -77,6 +77,36 @@ def test_eval_compares_stored_boxes(data, tmp_path, capsys):
     assert re.search(r"Good +100\.00", capsys.readouterr().out)
 
 
+def stored_boxes(folder, names: dict[str, tuple[str, ...]]) -> None:
+    for tracker, sequences in names.items():
+        (folder / tracker).mkdir(parents=True)
+        for sequence in sequences:
+            begin = ("one", "two").index(sequence)
+            write_boxes(folder / tracker / f"{sequence}.txt", rendered.path_of_target(8, begin))
+
+
+def test_what_an_import_leaves_out_is_said(data, tmp_path, capsys):
+    stored_boxes(tmp_path / "stored", {"Whole": ("one", "two"), "Part": ("one",), "anno": ("one", "two")})
+    assert racf("eval", data, "--import", tmp_path / "stored", "--json") == 0
+    out, err = capsys.readouterr()
+    assert list(json.loads(out)) == ["Whole"]
+    assert err.count("\n") == 1
+    assert "Part is left out, for it has boxes for only 1 of the sequences" in err
+    assert racf("eval", data, "--import", f"Part={tmp_path / 'stored'}", "--json") == 0
+    out, err = capsys.readouterr()
+    assert list(json.loads(out)) == ["Part"]
+    assert "Part has boxes for 1 of 2 sequences; the others are left out of the mean" in err
+
+
+def test_a_name_is_imported_once(data, tmp_path, capsys):
+    for place in ("here", "there"):
+        stored_boxes(tmp_path / place, {"T": ("one", "two")})
+    assert racf("eval", data, "--import", tmp_path / "here", "--import", f"T={tmp_path / 'there'}") == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert "T is imported already" in err
+
+
 WRONG = {
     "a folder that is not there": (("eval", "nowhere"), "nowhere"),
     "a benchmark nobody knows": (("eval", "DATA", "--benchmark", "otb"), "otb"),

@@ -42,21 +42,21 @@ def read_stored(folder: Path, tracker: str, sequences: Iterable[Sequence]) -> St
 
 def trackers_in(folder: Path, sequences: list[Sequence]) -> list[str]:
     """The trackers that have a result for as many of the sequences as any does, by name."""
-    covered = _covered(folder, sequences)
+    covered = sequences_of_trackers(folder, sequences)
     most = max(map(len, covered.values()), default=0)
     return sorted(name for name, names in covered.items() if len(names) == most and most > 0)
 
 
 def with_results(folder: Path, sequences: list[Sequence]) -> set[str]:
     """Names of the sequences that some tracker in `folder` has a result for."""
-    return set().union(*_covered(folder, sequences).values())
+    return set().union(*sequences_of_trackers(folder, sequences).values())
 
 
-def _covered(folder: Path, sequences: list[Sequence]) -> dict[str, set[str]]:
-    """Names of sequences by tracker."""
+def sequences_of_trackers(folder: Path, sequences: list[Sequence]) -> dict[str, set[str]]:
+    """Names of the sequences that each tracker in `folder` has a result for; the folder `anno` is none."""
     places = {folder / part for s in sequences for part in ("", "results", s.benchmark, f"{s.benchmark}/results")}
     trackers = {below.name for place in places if place.is_dir() for below in place.iterdir() if below.is_dir()}
-    return {name: {s.name for s in sequences if _find(folder, name, s)} for name in trackers}
+    return {name: {s.name for s in sequences if _find(folder, name, s)} for name in sorted(trackers - {"anno"})}
 
 
 def _find(folder: Path, tracker: str, sequence: Sequence) -> Path | None:
