@@ -23,7 +23,7 @@ from racf.evaluate.pictures import frames_of
 from racf.evaluate.report import Report, Table, build_report
 from racf.evaluate.runner import Run, run_all, tasks
 from racf.evaluate.stored import Stored, read_stored, sequences_of_trackers, trackers_in, with_results
-from racf.evaluate.trackers import TrackerSpec
+from racf.evaluate.trackers import OPENCV, TrackerSpec
 
 WIDTH_IN_A_PIPE = 160  # columns, so that nothing is folded where no terminal says how wide it is
 Many = tyro.conf.UseAppendAction[tuple[str, ...]]
@@ -93,8 +93,8 @@ class Bench:
     """Only the sequences that match this pattern, by name or benchmark/name."""
     frames: int = 100
     """At most so many frames of each sequence."""
-    first_call: bool = True
-    """Also time a fresh process with a cold and a warm cache (compiles everything once: half a minute)."""
+    no_first_call: bool = False
+    """Leave out the times of a fresh process with a cold and a warm cache (it compiles everything: half a minute)."""
     json: bool = False
     """Print the figures as JSON on standard output, and nothing else there."""
 
@@ -186,6 +186,8 @@ def _grid(command: Eval) -> studies.Grid:
 def bench(command: Bench) -> None:
     """`racf bench`."""
     specs, others = _specs(command.tracker or speed.OURS, ()), speed.peers()
+    if theirs := [spec.label for spec in specs if spec.name in OPENCV]:
+        raise UsageError(f"--tracker names one of ours to compare with OpenCV's CSRT and KCF, not {', '.join(theirs)}")
     if command.frames < 2:
         raise UsageError(f"--frames is at least 2, not {command.frames}")
     if command.source is None:
@@ -203,7 +205,7 @@ def bench(command: Bench) -> None:
     figures = speed.summary(laps, [spec.label for spec in others])
     for label, floors in speed.floors_ms(specs, clips).items():
         figures["tracker"][label]["floor_ms"] = floors
-    if command.first_call:
+    if not command.no_first_call:
         figures["first_call"] = speed.first_calls(specs[0])
     if command.json:
         print(json.dumps(figures, indent=1))

@@ -22,6 +22,11 @@ def test_every_tracker_is_timed_on_every_picture_after_the_first(tmp_path):
         assert sum(sum(of) for of in lap.stage_ms.values()) <= sum(lap.frame_ms)  # stages are parts of the whole
 
 
+def test_a_sequence_of_one_frame_is_refused_in_one_sentence(tmp_path):
+    with pytest.raises(ValueError, match="sequence walk has one frame"):
+        speed.clips_of(read_benchmark("folder", rendered.plain_folder(tmp_path, frames=1)), frames=5)
+
+
 def test_rendered_pictures_are_the_same_each_time_and_show_the_target_where_it_is_said_to_be():
     target = Box(400, 300, 48, 36)
     first, again = (list(speed.rendered(target, 3)) for _ in range(2))

@@ -117,6 +117,7 @@ WRONG = {
     "an import without boxes": (("eval", "DATA", "--import", "X=DATA"), "X"),
     "a box of three numbers": (("track", "DATA/Bench/one", "--init", "1,2,3", "--out", "x.txt"), "1,2,3"),
     "a source that is not there": (("track", "nowhere.mp4", "--init", "1,2,3,4", "--out", "x.txt"), "nowhere.mp4"),
+    "a tracker of OpenCV's to measure": (("bench", "DATA", "--tracker", "racf", "--tracker", "mil"), "not mil"),
     "an option nobody knows": (("eval", "DATA", "--jason"), "--jason"),
 }
 
@@ -148,3 +149,9 @@ def test_bench_prints_only_its_json_with_the_promised_keys(data, capsys):
     assert sum(ours["ms"].values()) > 0
     assert set(ours["times_as_fast_as"]) == set(figures["peers"])
     assert all(peer["fps"] > 0 for peer in figures["peers"].values())
+
+
+def test_help_of_bench_says_what_no_first_call_does(capsys):
+    assert racf("bench", "--help") == 0
+    words = " ".join(re.sub(r"[^\w\s.-]", " ", capsys.readouterr().out).split())
+    assert "--no-first-call Leave out the times" in words

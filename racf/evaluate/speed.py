@@ -89,9 +89,11 @@ class Lap:
 
 
 def clips_of(sequences: list[Sequence], frames: int) -> list[Clip]:
-    """The first `frames` pictures of each sequence."""
+    """The first `frames` pictures of each sequence; raises where a sequence has fewer than two."""
     for sequence in sequences:
         sequence.need_frames()
+        if len(sequence.frames) < 2:
+            raise ValueError(f"sequence {sequence.name} has one frame; a speed needs at least 2")
     return [Clip(s.name, s.first_box(), s.frames, min(frames, len(s.frames))) for s in sequences]
 
 
