@@ -145,6 +145,8 @@ def evaluate(command: Eval) -> None:
     usual = ("racf",) if command.table is None else studies.trackers_of(command.table, grid)
     specs = _specs(command.tracker or (() if command.imports else usual), command.set)
     sequences = _sequences(command.root, command.benchmark, command.only)
+    if command.pictures and not any(s.frames for s in sequences):
+        raise UsageError(f"--pictures needs frames to draw on; the sequences of {command.root} have none")
     stored = _stored(command.imports, sequences, {spec.label for spec in specs})
     runs = _run(command, specs, sequences)
     report = build_report(sequences, runs, stored, with_results(command.root / "results", sequences))

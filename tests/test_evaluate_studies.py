@@ -146,6 +146,24 @@ def test_pictures_are_of_the_sequences_that_tell_the_trackers_apart(sequences):
     assert report.telling_apart(2) == [sequences[3].name, sequences[2].name]
 
 
+def test_pictures_are_drawn_of_many_trackers_and_without_boxes_of_nan(sequences, tmp_path):
+    boxes = {f"tracker {i}": {s.name: s.truth.copy() for s in sequences} for i in range(23)}
+    boxes["tracker 3"][sequences[0].name][:] = np.nan
+    for path in plots.draw_pictures(sequences[:1], boxes, tmp_path / "pictures"):
+        assert path.stat().st_size > 0
+
+
+def test_pictures_without_frames_are_refused_in_one_sentence(tmp_path, capsys):
+    rendered.write_truth(tmp_path / "anno" / "walk.txt", rendered.path_of_target(4))
+    rendered.write_truth(tmp_path / "T" / "walk.txt", rendered.path_of_target(4))
+    assert racf("eval", tmp_path, "--import", f"T={tmp_path}", "--pictures", 1, "--out", tmp_path / "out") == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert "--pictures needs frames" in err
+    with pytest.raises(ValueError, match="no sequence to draw pictures of"):
+        plots.draw_pictures([], {}, tmp_path / "pictures")
+
+
 def test_a_table_is_one_command(tmp_path, capsys):
     data, out = rendered.plain_folder(tmp_path / "data", frames=4), tmp_path / "out"
     arguments = ["eval", data, "--table", 3, "--iterations", "1,2", "--jobs", 1, "--out", out, "--pictures", 1]

@@ -19,6 +19,7 @@ from racf.evaluate.report import Report
 
 LEGEND_AT_MOST = 16  # trackers: the paper's figures show fourteen
 PICTURES_A_SEQUENCE = 3
+LINE_PX = (2, 1, 3)  # of the boxes of the first ten trackers, the next ten, ...
 PICTURE_COLS = 480  # a picture is scaled to this width before it is drawn on, so that lines are alike
 
 
@@ -73,19 +74,30 @@ def draw_lines(
 
 
 def draw_pictures(sequences: ListOf[Sequence], boxes: Mapping[str, Mapping[str, Boxes]], place: Path) -> list[Path]:
-    """Figure 6: frames of each sequence with every tracker's box (`boxes` by label and sequence, 1-based)."""
-    colours = dict(zip(boxes, mpl.colormaps["tab10"].colors, strict=False))  # pyright: ignore[reportAttributeAccessIssue]
+    """Figure 6: frames of each sequence with every tracker's box (`boxes` by label and sequence, 1-based).
+
+    Raises ValueError where there is no sequence, or one without frames.
+    """
+    if not sequences:
+        raise ValueError("there is no sequence to draw pictures of: none that counts has frames")
+    for sequence in sequences:
+        sequence.need_frames()
+    colours = mpl.colormaps["tab10"].colors  # pyright: ignore[reportAttributeAccessIssue]
+    # Ten colours, then the same with thinner and with thicker lines.
+    lines = {
+        label: (colours[i % len(colours)], LINE_PX[i // len(colours) % len(LINE_PX)]) for i, label in enumerate(boxes)
+    }
     figure = Figure(figsize=(3.4 * PICTURES_A_SEQUENCE, 2.1 * len(sequences) + 0.4), layout="constrained")
     every = figure.subplots(len(sequences), PICTURES_A_SEQUENCE, squeeze=False)
     for line, sequence in zip(every, sequences, strict=True):
         shown = np.linspace(0, len(sequence.frames) - 1, PICTURES_A_SEQUENCE + 1).round().astype(int)[1:]
         for axes, index in zip(line, shown, strict=True):
             at = {label: of[sequence.name][index] for label, of in boxes.items() if sequence.name in of}
-            axes.imshow(_with_boxes(read_frame(sequence.frames[index]), at, colours)[:, :, ::-1])
+            axes.imshow(_with_boxes(read_frame(sequence.frames[index]), at, lines)[:, :, ::-1])
             axes.set_title(f"{sequence.name} #{index + 1}", fontsize=7)
             axes.set_axis_off()
-    handles = [Line2D([], [], color=colour, label=label) for label, colour in colours.items()]
-    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), fontsize=8)
+    handles = [Line2D([], [], color=colour, linewidth=px, label=label) for label, (colour, px) in lines.items()]
+    figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), len(colours)), fontsize=8)
     return save(figure, place)
 
 
@@ -119,14 +131,19 @@ def _curves(axes: Axes, means: Mapping[str, Score], kind: str) -> None:
 
 
 def _with_boxes(
-    image: NDArray[np.uint8], at: Mapping[str, NDArray[np.float64]], colours: Mapping[str, tuple[float, ...]]
+    image: NDArray[np.uint8],
+    at: Mapping[str, NDArray[np.float64]],
+    lines: Mapping[str, tuple[tuple[float, ...], int]],
 ) -> NDArray[np.uint8]:
-    """A copy, `PICTURE_COLS` wide, with boxes in 1-based pixels of the original drawn on it."""
+    """A copy, `PICTURE_COLS` wide, with boxes in 1-based pixels of the original drawn on it, but for those of NaN."""
     scale = PICTURE_COLS / image.shape[1]
     small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    for label, (x, y, w, h) in at.items():
+    for label, box in at.items():
+        if not np.isfinite(box).all():
+            continue
+        x, y, w, h = box
         corners = [(round((x - 1) * scale), round((y - 1) * scale))]
         corners += [(round((x - 1 + w) * scale), round((y - 1 + h) * scale))]
-        colour = [round(255 * c) for c in colours[label][:3]][::-1]
-        cv2.rectangle(small, corners[0], corners[1], colour, 2)
+        colour, thick = lines[label]
+        cv2.rectangle(small, corners[0], corners[1], [round(255 * c) for c in colour[:3]][::-1], thick)
     return np.asarray(small, dtype=np.uint8)
