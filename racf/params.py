@@ -5,10 +5,17 @@ Real-Time UAV Tracking" (2021); [ARCF] the published parameters of ARCF-HC, whos
 says it uses; [measured] points to the tables in docs/racf.md.
 """
 
+import math
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from typing_extensions import Self
+
+_SHARES = (
+    "learning_rate", "scale_learning_rate", "refine_min_iou", "refine_blend", "strict_iou",
+    "confidence_rate", "confidence_rate_doubtful", "velocity_rate", "velocity_decay",
+)  # fmt: skip
+_WEIGHTS = ("residue", "spatial", "bowl", "temporal", "ridge", "aberrance")
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +90,15 @@ class Params:
     redetect_patience: int = 10  # ... and a step further with every so many frames lost
 
     def __post_init__(self) -> None:
+        for name, kind in self.field_types().items():
+            if kind is float and not math.isfinite(getattr(self, name)):
+                raise ValueError(f"{name} is a finite number, not {getattr(self, name)}")
+        for name in _SHARES:
+            if not 0 <= getattr(self, name) <= 1:
+                raise ValueError(f"{name} is between 0 and 1, not {getattr(self, name)}")
+        for name in _WEIGHTS:
+            if getattr(self, name) < 0:
+                raise ValueError(f"{name} is at least 0, not {getattr(self, name)}")
         at_least = {
             "cell_px": 1, "admm_iterations": 1, "newton_iterations": 0, "scales": 3, "refine_size_px": 8,
             "refine_iterations": 1, "redetect_places": 0, "redetect_reach": 1, "redetect_patience": 1,

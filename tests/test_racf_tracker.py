@@ -193,3 +193,18 @@ def test_settings_are_parsed_by_their_type_and_refused_by_name():
         params.with_settings({"admm_iterations": "0"})
     with pytest.raises(ValueError, match="no tracker 'kcf'"):
         preset("kcf")
+
+
+@pytest.mark.parametrize(
+    ("setting", "sentence"),
+    [
+        ({"residue": "nan"}, "residue is a finite number, not nan"),
+        ({"penalty_max": "inf"}, "penalty_max is a finite number, not inf"),
+        ({"learning_rate": "1.5"}, "learning_rate is between 0 and 1, not 1.5"),
+        ({"refine_blend": "-0.1"}, "refine_blend is between 0 and 1, not -0.1"),
+        ({"ridge": "-1"}, "ridge is at least 0, not -1.0"),
+    ],
+)
+def test_a_number_that_makes_no_sense_is_refused_in_one_sentence(setting, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        preset("racf").with_settings(setting)
