@@ -112,7 +112,7 @@ def test_turning_right_moves_the_window_right_and_descending_moves_it_down():
         state = link.state()
         second = next(frames)
         assert second is not None
-        dx, dy = camera.window.x - 120, camera.window.y - 80
+        dx, dy = int(camera.window.x) - 120, int(camera.window.y) - 80
         assert dx == round(lens.fx * state.yaw_rad) > 0
         assert dy == round(lens.fy * (state.down_m + 10.0) / 20.0) > 0
         assert np.array_equal(second.image, image[80 + dy : 120 + dy, 120 + dx : 180 + dx])
