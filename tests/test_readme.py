@@ -7,6 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import tyro
+from real_flight import FIT
 
 from follow.acquire import Acquire
 from follow.cli import main
@@ -17,6 +19,8 @@ from follow.servo import Servo
 from follow.target import Target
 from racf import Racf
 from racf.commandline import parse
+from sim.autopilot import Options
+from sim.autopilot import build as build_autopilot
 from sim.clip import write
 from sim.scenarios import SCENARIOS, build
 
@@ -37,6 +41,18 @@ def commands(program: str) -> list[list[str]]:
 @pytest.mark.parametrize("words", commands("follow"), ids=" ".join)
 def test_every_follow_command_of_the_readme_is_understood(words):
     assert parse(Command, words, prog="follow", description="", config=MARKERS) is not None
+
+
+def test_the_simulated_autopilot_of_the_readme_flies_and_is_set_as_doctor_asks():
+    (words,) = commands("python")
+    assert words[:2] == ["-m", "sim.autopilot"]
+    options = tyro.cli(Options, args=words[2:])
+    flight = build_autopilot(options).flight
+    assert not flight.vehicle.motion.landed
+    asked = dict(setting.split("=") for setting in FIT[options.rules])
+    assert {name: flight.parameters[name] for name in asked} == {name: float(value) for name, value in asked.items()}
+    run = next(words for words in commands("follow") if "scene:walker" in words)
+    assert options.connect.rpartition(":")[2] == run[run.index("--link") + 1].rpartition(":")[2]
 
 
 @pytest.mark.parametrize("words", commands("make"), ids=" ".join)
