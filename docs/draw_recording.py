@@ -45,6 +45,6 @@ if __name__ == "__main__":
     given = sys.argv[1:]
     # The viewer takes its picture before a long recording is loaded whole.
     SCENARIOS["docs"] = replace(SCENARIOS["look-alike"], duration_s=8.0)
-    if not given and main(["sim", "docs", "--out", "out"]) != 0:
+    if not given and main(["sim", "docs", "--out", "out/docs"]) != 0:
         sys.exit(1)
     draw(Path(given[0] if given else "out/docs/flight.rrd"), HERE / "recording.jpg")
