@@ -61,13 +61,13 @@ def measure(folder: Path, truth: np.ndarray, tracker: str, frames: int, into: Ra
         if k % EVERY == 0 and accepted >= CONFIG.settle and overlaps[-1] >= ON and prior is not None:
             look = copy.deepcopy(finder).update(image, prior)
             if look.box.iou(box) < OFF:
-                into.elsewhere.append(look.psr / usual)
+                into.elsewhere.append(look.psr / min(usual, CONFIG.sharp_psr))
         track = finder.update(image)
         overlaps.append(track.box.iou(box))
         if accepted >= CONFIG.settle:
-            into.followed.append(track.psr / usual)
+            into.followed.append(track.psr / min(usual, CONFIG.sharp_psr))
             into.overlap.append(overlaps[-1])
-        if accepted < CONFIG.settle or track.psr >= CONFIG.lose_psr * usual:
+        if accepted < CONFIG.settle or track.psr >= CONFIG.lose_psr * min(usual, CONFIG.sharp_psr):
             accepted += 1
             usual += max(CONFIG.psr_rate, 1 / accepted) * (track.psr - usual)
     return overlaps

@@ -42,7 +42,8 @@ class TargetConfig:
     confirm: int = 3  # ... in so many pictures in a row
     # Sharpness (PSR) over the target's usual one, measured on ten real sequences (docs/confidence.md):
     lose_psr: float = 0.6  # less is not believed: 3 % of the pictures on the target, 97 % of looks elsewhere
-    regain_psr: float = 0.7  # ... nor, after a loss, less than this: 6 % and 99 %; and `confirm` in a row are asked
+    regain_psr: float = 0.7  # ... nor, after a loss, less than this: 5 % and 99 %; and `confirm` in a row are asked
+    sharp_psr: float = 20.0  # ... usual counts as no more: a PSR of 15 is the target although it was 40 before
     psr_rate: float = 0.01  # ... usual: the running mean over about three seconds of what was accepted
     settle: int = 5  # pictures until anything is usual: the very first response can be far sharper than any later one
     steady_s: float = 6.0  # an unseen target is thought to go on as it did for so long: past a wall or some trees ...
@@ -215,7 +216,8 @@ class Target:
                 return False
             lost = t_s - self.seen_t_s > c.lost_after_s
             settling = self.accepted < c.settle and not lost
-            if not settling and track.psr < (c.regain_psr if lost else c.lose_psr) * self.usual_psr:
+            asked = (c.regain_psr if lost else c.lose_psr) * min(self.usual_psr, c.sharp_psr)
+            if not settling and track.psr < asked:
                 return False
             if lost:
                 self.proofs += 1

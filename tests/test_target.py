@@ -204,3 +204,12 @@ def test_uncertainty_after_a_wait_does_not_depend_on_how_often_one_looked():
     for i in range(1, 7):
         f = predicted(f, once.filter.t_s + i * step, 0.5)
     np.testing.assert_allclose(f.covariance, predicted(often.filter, f.t_s, 0.5).covariance, rtol=1e-9)
+
+
+def test_a_sharp_response_is_believed_although_it_was_far_sharper_before():
+    target = Target(CAMERA, DOWN)
+    for i in range(60):
+        state = hovering(i * DT)
+        psr = 40.0 if i < 40 else 15.0
+        estimate = target.update(replace(seen(box_of((12.0, 0.0), state)), psr=psr), state, i * DT)
+    assert estimate.seen_t_s == pytest.approx(59 * DT)
