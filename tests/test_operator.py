@@ -1,9 +1,10 @@
 """Who may order FOLLOW, and what takes it back."""
 
-import os
+import errno
 import pty
 import signal
 import socket
+import termios
 from dataclasses import dataclass, field, replace
 
 import pytest
@@ -173,12 +174,20 @@ def test_a_terminal_that_goes_twice_leaves_once():
 
 
 def test_a_terminal_that_is_gone_is_no_error(monkeypatch):
+    def gone(*_what: object) -> bytes:
+        raise OSError(errno.EIO, "Input/output error")
+
+    def hung_up(*_what: object) -> None:
+        raise termios.error(errno.EIO, "Input/output error")
+
     ours, theirs = pty.openpty()
-    with open(theirs, closefd=False) as terminal:
+    with open(ours, "wb", buffering=0) as person, open(theirs) as terminal:
         monkeypatch.setattr("sys.stdin", terminal)
         d = desk()
         with Keys() as keys:
-            os.close(ours)
+            person.write(b"f")
+            monkeypatch.setattr("os.read", gone)
+            monkeypatch.setattr("termios.tcsetattr", hung_up)
             keys.read_into(d.operator)
             keys.read_into(d.operator)
-        assert not d.operator.leaving
+        assert not d.operator.waiting
