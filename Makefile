@@ -22,7 +22,7 @@ check: setup
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/basedpyright
-	$(BIN)/python tests/check_lock.py
+	$(BIN)/python -m tools.check_lock
 
 test: setup
 	$(BIN)/python -m pytest -n 2 -m "not realtime"
@@ -44,11 +44,11 @@ bench: $(BENCH)/.installed
 
 # Every fault, flown; a minute of garbage into each reader; a million wishes through the gate; a minute's flight each.
 faults: setup
-	$(BIN)/python benchmarks/faults.py
-	$(BIN)/python benchmarks/gate_fuzz.py --rounds 1000000
-	$(BIN)/python benchmarks/fuzz_inputs.py --seconds 60
-	$(BIN)/python benchmarks/setpoint_timing.py --seconds 60
-	FOLLOW_RUN_S=60 $(BIN)/python -m pytest tests/test_follow_run.py
+	$(BIN)/python -m tools.faults
+	$(BIN)/python -m tools.fuzz.gate --rounds 1000000
+	$(BIN)/python -m tools.fuzz.inputs --seconds 60
+	$(BIN)/python -m benchmarks.setpoint_timing --seconds 60
+	FOLLOW_RUN_S=60 $(BIN)/python -m pytest tests/follow/test_follow_run.py
 
 # The main job, end to end: a simulated walker, followed, recorded and scored.
 demo: setup
@@ -56,7 +56,7 @@ demo: setup
 
 # What needs the extras: the Dask cluster, OpenCV's own trackers.
 test-extras: $(BENCH)/.installed
-	$(BENCH)/bin/python -m pytest tests/test_evaluate_runner.py tests/test_evaluate_speed.py tests/test_evaluate_peers.py
+	$(BENCH)/bin/python -m pytest tests/racf/test_evaluate_runner.py tests/racf/test_evaluate_speed.py tests/racf/test_evaluate_peers.py
 
 format: setup
 	$(BIN)/ruff format .

@@ -1,6 +1,6 @@
 """When setpoints arrive: `follow run` at 30 pictures/s, recording, against `python -m sim.autopilot` over UDP.
 
-    python benchmarks/setpoint_timing.py --seconds 60 [--rules ardupilot] [--let-cores-sleep]
+    python -m benchmarks.setpoint_timing --seconds 60 [--rules ardupilot] [--let-cores-sleep]
 
 A relay between the two notes when each setpoint passes.  Prints the intervals and the time from a picture to its
 setpoint; exits 1 when their p99 is above 60 ms or one is above 150 ms.  It also prints how much of this machine's
@@ -23,11 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT / "tests"))
 os.environ["MAVLINK20"] = "1"
 
-from machine import awake, processor_ticks, stolen  # noqa: E402
-from real_flight import real_flight  # noqa: E402
+from tests.support.machine import awake, processor_ticks, stolen  # noqa: E402
+from tests.support.real_flight import real_flight  # noqa: E402
 
 P99_MS, LARGEST_MS = 60.0, 150.0
 WATCH_S = 0.01  # as fine as the system counts its host's time

@@ -6,11 +6,11 @@ from dataclasses import dataclass, field, fields, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from follow.control.servo import ServoConfig
+from follow.control.target import TargetConfig
 from follow.geometry import Intrinsics
-from follow.limits import Limits
-from follow.record import RecordConfig
-from follow.servo import ServoConfig
-from follow.target import TargetConfig
+from follow.recording.recorder import RecordConfig
+from follow.safety.limits import Limits
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance

@@ -23,7 +23,7 @@ class Tracker(Protocol):
 
 
 class Target(Protocol):
-    """Turns boxes and the vehicle's own motion into where the target is; `follow.target.Target` is one."""
+    """Turns boxes and the vehicle's own motion into where the target is; `follow.control.target.Target` is one."""
 
     def predict(self, state: VehicleState, t_s: float) -> Box | None:
         """Where in the picture of `t_s` the target should appear, or None for where it last did."""
@@ -35,7 +35,7 @@ class Target(Protocol):
 
 
 class Servo(Protocol):
-    """Wishes a velocity; `follow.servo.Servo` is one."""
+    """Wishes a velocity; `follow.control.servo.Servo` is one."""
 
     def update(self, estimate: Estimate, state: VehicleState) -> Setpoint:
         """The velocity that would keep the estimated target where it is wanted."""
@@ -43,7 +43,7 @@ class Servo(Protocol):
 
 
 class Safety(Protocol):
-    """The gate; `follow.safety.Safety` is one."""
+    """The gate; `follow.safety.gate.Safety` is one."""
 
     def allow(self, wish: Setpoint, estimate: Estimate, state: VehicleState, frame_t_s: float) -> Decision:
         """What of the wish may be sent at `state.t_s`, given when the newest picture was taken."""

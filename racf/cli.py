@@ -19,7 +19,7 @@ from racf.commandline import UsageError, run
 from racf.evaluate import plots, progress, speed, studies
 from racf.evaluate.benchmarks import BENCHMARKS, Sequence, is_known, read_benchmark
 from racf.evaluate.boxfiles import write_boxes
-from racf.evaluate.pictures import frames_of
+from racf.evaluate.images import frames_of
 from racf.evaluate.report import Report, Table, build_report
 from racf.evaluate.runner import Run, run_all, tasks
 from racf.evaluate.stored import Stored, read_stored, sequences_of_trackers, trackers_in, with_results

@@ -15,12 +15,12 @@ from follow.geometry import Intrinsics, camera_to_ned
 from follow.link import Link
 from follow.messages import NEVER, Frame
 from racf.box import Box
-from sim.drawing import View
 from sim.dynamics import Motion
-from sim.ground import Image
-from sim.optics import Lens, Optics, Sensor, smear
-from sim.scene import Scene, Seen
-from sim.world import Place, World
+from sim.scene.drawing import View
+from sim.scene.ground import Image
+from sim.scene.optics import Lens, Optics, Sensor, smear
+from sim.scene.rendering import Scene, Seen
+from sim.scene.world import Place, World
 
 ROUNDS_PER_S = 30.0  # the loop runs at least so often, with or without a picture
 

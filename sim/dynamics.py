@@ -67,8 +67,8 @@ class Answer:
 # 45 degrees: PX4's MPC_TILTMAX_AIR; ArduPilot's ANGLE_MAX raised from 30, without which a car outruns it.
 _TILT_LIMIT_M_S2 = GRAVITY_M_S2 * math.tan(math.radians(45.0))
 
-# Fitted by benchmarks/fit_vehicle.py to PX4 1.16 (SIH quadrotor) and ArduCopter 4.7-dev (SITL quad), speeds to 5 m/s;
-# drag is linear and so extrapolated above.  Limits and ramps are the autopilots' parameters, not fitted.
+# Fitted by tools/studies/fit_vehicle.py to PX4 1.16 (SIH quadrotor) and ArduCopter 4.7-dev (SITL quad), speeds to
+# 5 m/s; drag is linear and so extrapolated above.  Limits and ramps are the autopilots' parameters, not fitted.
 ANSWERS: dict[Autopilot, Answer] = {
     Autopilot.PX4: Answer(
         dead_time_s=0.067,

@@ -11,9 +11,9 @@ from follow.messages import Autopilot
 from sim.camera import CameraSettings, LiveFlight, SceneCamera
 from sim.dynamics import ANSWERS, CALM, GRAVITY_M_S2, Motion, Vehicle, Wind
 from sim.link import SimLink
-from sim.optics import Optics
-from sim.stages import car_road, footpath, look_alike, set_off, stops, trees_between, turn_back, wall_between
-from sim.world import Kind, World
+from sim.scene.optics import Optics
+from sim.scene.world import Kind, World
+from sim.scene.worlds import car_road, footpath, look_alike, set_off, stops, trees_between, turn_back, wall_between
 
 Stage = Callable[[np.random.Generator, Kind, float], World]
 

@@ -5,9 +5,9 @@ from contextlib import nullcontext
 
 import pytest
 from hypothesis import HealthCheck, settings
-from machine import STOLEN, LateError, awake, processor_ticks, stolen
 
 from racf.threads import one_core
+from tests.support.machine import STOLEN, LateError, awake, processor_ticks, stolen
 
 one_core()
 # A law does not depend on how busy the machine is.

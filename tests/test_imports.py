@@ -1,4 +1,4 @@
-"""Imports run one way: racf <- follow <- sim, and sim never reaches the loop, the servo or the command line."""
+"""Imports run one way: racf <- follow <- sim, and from room to room inside follow."""
 
 import ast
 from pathlib import Path
@@ -8,16 +8,32 @@ import pytest
 import racf
 
 ROOT = Path(__file__).parents[1]
-SIM_MAY_SEE = {
-    "follow.signing",
+SPOKEN = {"messages", "geometry", "ranges"}  # what every room of follow speaks
+MAY_IMPORT = {
+    "messages": set(),
+    "geometry": set(),
+    "ranges": set(),
+    "loop": {"messages", "camera", "link"},
+    "config": SPOKEN | {"control", "safety", "recording"},
+    "camera": SPOKEN,
+    "link": SPOKEN,
+    "control": SPOKEN,
+    "safety": SPOKEN,
+    "operator": SPOKEN | {"safety", "recording"},
+    "recording": SPOKEN,
+    "flight": SPOKEN | {"camera", "link", "control", "safety", "operator", "recording", "loop"},
+    "cli": SPOKEN | {"camera", "link", "control", "safety", "operator", "recording", "flight", "loop", "config"},
+}
+"""Which rooms of follow (folders, or files beside them) each room may import."""
+SIM_MAY_IMPORT = {
+    "follow.link.signing",
     "follow.messages",
     "follow.geometry",
-    "follow.mavlink",
     "follow.link",
     "follow.camera",
     "racf.box",
 }
-WIRING = {"follow/cli_replay.py", "follow/cli_run.py", "follow/cli_sim.py"}  # the only files that build both seams
+WIRING = "follow/cli/"  # the only room that builds both seams
 
 
 def imports(path: Path) -> set[str]:
@@ -28,25 +44,48 @@ def imports(path: Path) -> set[str]:
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module:
             names |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
-    return {name for name in names if name.split(".")[0] in {"racf", "follow", "sim"}}
+    return {name for name in names if name.split(".")[0] in {"racf", "follow", "sim", "tests", "tools", "benchmarks"}}
 
 
-@pytest.mark.parametrize("path", sorted((ROOT / "racf").rglob("*.py")), ids=str)
-def test_the_tracker_knows_nothing_of_drones(path):
-    assert not {name for name in imports(path) if not name.startswith("racf")}
+def sources(package: str) -> list[str]:
+    return sorted(str(path.relative_to(ROOT)) for path in (ROOT / package).rglob("*.py"))
 
 
-@pytest.mark.parametrize("path", sorted((ROOT / "follow").rglob("*.py")), ids=str)
-def test_the_application_does_not_need_the_simulator(path):
-    if str(path.relative_to(ROOT)) not in WIRING:
-        assert not {name for name in imports(path) if name.startswith("sim")}
+@pytest.mark.parametrize("source", sources("racf"))
+def test_the_tracker_knows_nothing_of_drones(source):
+    assert not {name for name in imports(ROOT / source) if not name.startswith("racf")}
 
 
-@pytest.mark.parametrize("path", sorted((ROOT / "sim").rglob("*.py")), ids=str)
-def test_the_simulator_reaches_only_messages_geometry_and_boxes(path):
-    for name in imports(path) - {"follow", "racf"}:
+@pytest.mark.parametrize("source", sources("follow"))
+def test_the_application_does_not_need_the_simulator(source):
+    foreign = () if source.startswith(WIRING) else ("sim",)
+    assert not {name for name in imports(ROOT / source) if name.startswith((*foreign, "tests", "tools", "benchmarks"))}
+
+
+@pytest.mark.parametrize("source", sources("follow"))
+def test_rooms_import_one_way(source):
+    if source == "follow/__init__.py":
+        return
+    room = source.split("/")[1].removesuffix(".py")
+    seen = {name.split(".")[1] for name in imports(ROOT / source) if name.startswith("follow.")}
+    assert seen - {room} <= MAY_IMPORT[room]
+
+
+def test_every_room_is_known_and_their_arrows_make_no_circle():
+    rooms = {source.split("/")[1].removesuffix(".py") for source in sources("follow")} - {"__init__"}
+    assert rooms == set(MAY_IMPORT)
+    left = dict(MAY_IMPORT)
+    while left:
+        free = {room for room, needs in left.items() if not needs & set(left)}
+        assert free, f"a circle among {sorted(left)}"
+        left = {room: needs for room, needs in left.items() if room not in free}
+
+
+@pytest.mark.parametrize("source", sources("sim"))
+def test_the_simulator_reaches_only_seams_messages_geometry_and_boxes(source):
+    for name in imports(ROOT / source) - {"follow", "racf"}:
         if not name.startswith("sim"):
-            assert any(name == seen or name.startswith(seen + ".") for seen in SIM_MAY_SEE), name
+            assert any(name == seen or name.startswith(seen + ".") for seen in SIM_MAY_IMPORT), name
 
 
 def test_every_public_name_of_the_tracker_is_there():

@@ -8,21 +8,21 @@ from pathlib import Path
 
 import pytest
 import tyro
-from real_flight import FIT
 
-from follow.acquire import Acquire
-from follow.cli import main
-from follow.commands import MARKERS, Command
+from follow.cli.commands import MARKERS, Command
+from follow.cli.program import main
+from follow.control.acquire import Acquire
+from follow.control.servo import Servo
+from follow.control.target import Target
 from follow.messages import Autopilot, Order, Tick
-from follow.safety import Safety
-from follow.servo import Servo
-from follow.target import Target
+from follow.safety.gate import Safety
 from racf import Racf
 from racf.commandline import parse
-from sim.autopilot import Options
-from sim.autopilot import build as build_autopilot
+from sim.autopilot.program import Options
+from sim.autopilot.program import build as build_autopilot
 from sim.clip import write
 from sim.scenarios import SCENARIOS, build
+from tests.support.real_flight import FIT
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()

@@ -13,8 +13,8 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from racf.evaluate.benchmarks import Sequence
+from racf.evaluate.images import read_frame
 from racf.evaluate.metrics import ERROR_THRESHOLDS_PX, OVERLAP_THRESHOLDS, Boxes, Score, mean_score
-from racf.evaluate.pictures import read_frame
 from racf.evaluate.report import Report
 
 LEGEND_AT_MOST = 16  # trackers: the paper's figures show fourteen

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from racf.box import Box
 from racf.evaluate.benchmarks import Sequence
 from racf.evaluate.boxfiles import read_boxes, write_boxes
+from racf.evaluate.images import read_frame
 from racf.evaluate.metrics import Boxes
-from racf.evaluate.pictures import read_frame
 from racf.parallel import each
 from racf.threads import one_core
 from racf.track import Track

@@ -21,9 +21,9 @@ import cv2
 import numpy as np
 
 from racf.box import Box
-from racf.evaluate import floor
+from racf.evaluate import roofline
 from racf.evaluate.benchmarks import Sequence
-from racf.evaluate.pictures import Picture, read_frame
+from racf.evaluate.images import Picture, read_frame
 from racf.evaluate.report import Table
 from racf.evaluate.runner import warm_up
 from racf.evaluate.trackers import PEERS, TrackerSpec, opencv_has
@@ -123,10 +123,10 @@ def peers() -> list[TrackerSpec]:
 def floors_ms(specs: list[TrackerSpec], clips: list[Clip]) -> dict[str, dict[str, float]]:
     """The least time of each stage on this machine, by label and stage: the median over the clips."""
     one_core()
-    best = floor.machine()
+    best = roofline.machine()
     out: dict[str, dict[str, float]] = {}
     for spec in specs:
-        works = [floor.work_of_stages(spec.params(), clip.target) for clip in clips]
+        works = [roofline.work_of_stages(spec.params(), clip.target) for clip in clips]
         out[spec.label] = {stage: round(median(best.ms(work[stage]) for work in works), 4) for stage in works[0]}
     return out
 

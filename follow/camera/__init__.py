@@ -1,0 +1,8 @@
+"""Cameras: everything that yields frames behind the `Camera` seam (files, devices, streams, a window over footage).
+
+May import: messages, geometry, ranges and the tracker's library.  Knows nothing of vehicles but a VehicleState.
+"""
+
+from follow.camera.seam import Camera, CameraError
+
+__all__ = ["Camera", "CameraError"]

@@ -1,0 +1,84 @@
+"""What a camera's pictures must go through before a vehicle flies by them in real time."""
+
+import time
+from collections.abc import Callable, Iterator
+from types import TracebackType
+
+import numpy as np
+from numpy.typing import NDArray
+from typing_extensions import Self
+
+from follow.camera import Camera
+from follow.camera.video import Replay
+from follow.messages import Frame
+
+COARSE = 16  # every 16th row and column tells most pictures apart in microseconds
+
+
+class RealTime:
+    """A replayed camera in real time: each picture comes when it is due, and bears the time at which it came."""
+
+    def __init__(self, footage: Replay, clock: Callable[[], float] = time.monotonic) -> None:
+        self.footage = footage
+        self._clock = clock
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of its pictures."""
+        return self.footage.size
+
+    def frames(self) -> Iterator[Frame | None]:
+        """Yield each picture when it is due, or None for a round without one; a slow consumer misses pictures."""
+        began_s = self._clock()
+        for n, frame in enumerate(self.footage.frames()):
+            late_s = self._clock() - began_s - n / self.footage.fps
+            if late_s > 1 / self.footage.fps:
+                continue
+            time.sleep(max(-late_s, 0.0))
+            yield None if frame is None else Frame(frame.image, self._clock(), frame.index)
+
+    def __enter__(self) -> Self:
+        self.footage.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.footage.__exit__(kind, error, trace)
+
+
+class NewPictures:
+    """A camera whose repeated pictures count as none.
+
+    A camera, driver or encoder that froze may go on delivering its last picture with fresh times, and a vehicle that
+    turns with a target which no longer moves in the picture would turn for ever.  A living sensor's noise never gives
+    the same bytes twice.
+    """
+
+    def __init__(self, camera: Camera) -> None:
+        self._camera = camera
+
+    def frames(self) -> Iterator[Frame | None]:
+        """Yield what the camera yields, but None for a picture that equals the one before."""
+        last: NDArray[np.uint8] | None = None
+        for frame in self._camera.frames():
+            if frame is None or (last is not None and is_same(frame.image, last)):
+                yield None
+                continue
+            last = frame.image
+            yield frame
+
+    def __enter__(self) -> Self:
+        self._camera.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._camera.__exit__(kind, error, trace)
+
+
+def is_same(image: NDArray[np.uint8], other: NDArray[np.uint8]) -> bool:
+    """Whether two pictures are equal in every byte."""
+    coarse = slice(None, None, COARSE)
+    return np.array_equal(image[coarse, coarse], other[coarse, coarse]) and np.array_equal(image, other)

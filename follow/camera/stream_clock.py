@@ -1,0 +1,36 @@
+"""A stream's own time stamps seen from our clock: when was this picture taken, in our time?"""
+
+from collections import deque
+
+from follow.messages import NEVER
+
+SETTLE_S = 1.0  # FFmpeg keeps what comes while it studies a stream and gives it first: 1.1 s of it were read in 0.3 s
+WINDOW_S = 10.0  # a stream that is later than it was for this long is late no more: its way has become longer
+
+
+class StreamClock:
+    """Maps a stream's own time stamps to ours by the picture that came soonest after its stamp.
+
+    What every picture needs (exposure, encoding, the way) cannot be told from here; what one came later than the others
+    can, as those that pile up while a network stalls and then come at once.
+    """
+
+    def __init__(self) -> None:
+        self._settled_t_s: float | None = None
+        self._stamp_s = NEVER
+        self._delays: deque[tuple[float, float]] = deque()  # arrival, and time since the stamp; both grow from left
+
+    def taken_at(self, stamp_s: float, t_s: float) -> float | None:
+        """Our time of a picture stamped `stamp_s` that came at `t_s`; None for the first second's, which waited."""
+        if stamp_s <= self._stamp_s:
+            self._delays.clear()  # its clock began anew, or stands still: then there is none
+        self._stamp_s = stamp_s
+        delay_s = t_s - stamp_s
+        while self._delays and self._delays[-1][1] >= delay_s:
+            self._delays.pop()
+        self._delays.append((t_s, delay_s))
+        while self._delays[0][0] < t_s - WINDOW_S:
+            self._delays.popleft()
+        if self._settled_t_s is None:
+            self._settled_t_s = t_s + SETTLE_S
+        return t_s - (delay_s - self._delays[0][1]) if t_s >= self._settled_t_s else None

@@ -1,0 +1,84 @@
+"""`follow doctor`: is this set-up fit to fly?"""
+
+import json
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import cv2
+
+from follow.camera import CameraError
+from follow.camera.video import LiveVideo, is_live, open_replay
+from follow.cli.commands import Doctor
+from follow.flight import preflight as doctor
+from follow.flight.preflight import Finding, NotFitError, Verdict
+from follow.flight.session import acquire
+from follow.link import LinkError
+from follow.link.connection import connect
+from follow.link.signing import Signing
+from follow.messages import Frame
+from follow.operator.terminal import Terminal
+from racf.box import Box
+
+BOX_SHARE = 6  # the timed target is a sixth of the picture's height, as a person some 10 m away is
+
+
+def diagnose(command: Doctor) -> None:
+    """Look, report each finding, and raise NotFitError when one of them is red."""
+    terminal = Terminal()
+    findings: list[Finding] = []
+
+    def say(found: Sequence[Finding]) -> None:
+        findings.extend(found)
+        for finding in found:
+            terminal.report(str(finding))
+
+    if command.camera is not None:
+        say(look(command.camera, command.tracker, command.out, terminal))
+    if command.link is not None:
+        say(listen(command.link, command.system_id, command.signing_key))
+    say([doctor.check_disk(command.out), doctor.check_time(command.signing_key is not None, time.time())])
+    if command.json:
+        sys.stdout.write(json.dumps([asdict(finding) for finding in findings], indent=1) + "\n")
+    if not doctor.is_fit(findings):
+        red = ", ".join(finding.name for finding in findings if finding.verdict is Verdict.RED)
+        raise NotFitError(f"not fit to fly: {red}")
+    unseen = [f"--{name}" for name in ("camera", "link") if getattr(command, name) is None]
+    terminal.report(f"nothing red, but not looked at: {' and '.join(unseen)}" if unseen else "fit to fly")
+
+
+def look(source: str, tracker: str, out: Path, terminal: Terminal) -> list[Finding]:
+    """The camera, and the tracker on its pictures; the first of them is left in `out`, to read a target's box off."""
+    kept: list[Frame] = []
+    live = is_live(source)
+    try:
+        with LiveVideo(source, terminal.report) if live else open_replay(source, None, terminal.report) as camera:
+            findings = doctor.check_camera(camera, time.monotonic if live else None, kept)
+    except CameraError as error:
+        return [Finding("camera", Verdict.RED, str(error), "look at the source's name and cable")]
+    if len(kept) > 1:
+        rows, columns = kept[0].image.shape[:2]
+        out.mkdir(parents=True, exist_ok=True)
+        cv2.imwrite(str(out / "camera.png"), kept[0].image)
+        terminal.report(f"{columns}x{rows} pictures, the first is in {out / 'camera.png'}")
+        timed = acquire(tracker, Box.around(columns / 2, rows / 2, rows / BOX_SHARE, rows / BOX_SHARE))
+        timed.update(kept[0].image)  # its first picture starts it
+        fps = (len(kept) - 1) / (kept[-1].t_s - kept[0].t_s)
+        findings.append(doctor.check_tracker(timed.update, kept[1:], fps))
+    return findings
+
+
+def listen(uri: str, system_id: int | None, key: Path | None) -> list[Finding]:
+    """The vehicle behind the link."""
+    try:
+        signing = Signing(key) if key is not None else None
+    except (ValueError, OSError) as error:
+        return [Finding("signing", Verdict.RED, str(error), "chmod 600, and 32 bytes in it")]
+    try:
+        with connect(uri, system_id, signing=signing) as link:
+            findings = doctor.check_vehicle(link.client, link.listen, time.monotonic)
+            return [*findings, doctor.check_signing(link.client, signing is not None)]
+    except LinkError as error:
+        return [Finding("link", Verdict.RED, str(error), "look at its name, cable and permissions")]

@@ -1,0 +1,77 @@
+"""`follow replay`: footage, the virtual camera over it, and the link that only pretends to fly."""
+
+import math
+
+from follow.camera import Camera
+from follow.camera.video import Replay as ReplayCamera
+from follow.camera.video import is_live, open_replay
+from follow.camera.window import WindowCamera
+from follow.cli.commands import Replay, box_of
+from follow.cli.settings import as_toml
+from follow.config import Config, suited
+from follow.control.footage import FootageTarget
+from follow.control.servo import Servo
+from follow.control.target import Target
+from follow.flight.session import acquire, conclude, fly, once
+from follow.link.replay import ReplayLink
+from follow.loop import follow
+from follow.messages import Order
+from follow.operator.terminal import Terminal
+from follow.recording.recorder import Recorder
+from follow.recording.scoring import Footage, Truth
+from follow.safety.gate import Safety
+from racf.box import Box
+from racf.commandline import UsageError
+
+REPLAY_HEIGHT_M = 10.0  # of the pretended vehicle: a common follow-me height
+PTZ_SHARE = 3  # the virtual camera shows 1 / 3 of the footage's width and height, pixel for pixel
+
+
+def replay(command: Replay) -> None:
+    """`follow replay`."""
+    if is_live(command.source):
+        raise UsageError(f"replay plays files, not the live source {command.source!r}: use follow run")
+    truth = Truth(command.truth) if command.truth else None
+    box = box_of(command.target) if command.target else truth.start if truth else None
+    if box is None:
+        raise UsageError("what is to be followed? give --target x,y,w,h or --truth FILE")
+    terminal = Terminal()
+    config = command.config
+    footage = open_replay(command.source, command.fps, terminal.report)
+    about = f"# follow replay {command.source}\n\ntracker {command.tracker}, {footage.fps:g} pictures/s"
+    with footage, Recorder(command.out, config.record, terminal.report, waits=True, about=about) as recorder:
+        terminal.listeners.append(recorder.message)
+        link = ReplayLink(footage.fps, REPLAY_HEIGHT_M, command.autopilot, holds_place=command.ptz)
+        camera: Camera = footage
+        lens = config.camera.intrinsics(*footage.size)
+        ptz = windowed(footage, link, box, config) if command.ptz else None
+        score = Footage(truth, Box(0, 0, *footage.size), (lambda: ptz.window) if ptz else None)
+        if ptz is not None:
+            camera, lens = ptz, ptz.intrinsics
+            box = box.moved(-ptz.window.x, -ptz.window.y)
+        config = suited(config, command.named, lens)
+        recorder.settings(as_toml(config))
+        target = FootageTarget(Target(lens, config.camera.down_rad, config.target), answers=command.ptz)
+        servo = Servo(config.camera.down_rad, config.servo)
+        tracker, safety = acquire(command.tracker, box), Safety(config.limits)
+        with link:
+            ticks = follow(camera, link, tracker, target, servo, safety, once(Order.FOLLOW))
+            ticks = terminal.progress(ticks, footage.rounds, "replay")
+            finished = fly(ticks, recorder, terminal, score.add)
+        if line := score.shortfall():
+            terminal.report(line)
+        if any(link.refused.values()):
+            terminal.report(f"the vehicle refused setpoints: {link.refused}")
+        flown = {"tracker": command.tracker, "autopilot": command.autopilot.value}
+        figures = recorder.close({**flown, **score.figures()})
+    conclude(figures, command.out, terminal, as_json=command.json, finished=finished)
+
+
+def windowed(footage: ReplayCamera, link: ReplayLink, target: Box, config: Config) -> WindowCamera:
+    """The virtual camera on the footage, at first centred on the target."""
+    width, height = footage.size
+    lens = config.camera.intrinsics(width, height)
+    window = (width // PTZ_SHARE, height // PTZ_SHARE)
+    # As far away as flat ground is in the middle of the picture: so far a climb moves the view.
+    range_m = REPLAY_HEIGHT_M / max(math.sin(config.camera.down_rad), 0.1)
+    return WindowCamera(footage, link.state, lens, window, (target.centre_x, target.centre_y), range_m)

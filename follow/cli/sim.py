@@ -1,0 +1,133 @@
+"""`follow sim`: the closed loop without a drone, one flight or all of them."""
+
+import sys
+from collections.abc import Sequence, Set
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+from follow.cli.commands import Sim
+from follow.cli.settings import as_toml
+from follow.config import Config, suited
+from follow.control.servo import Servo
+from follow.control.target import Target
+from follow.flight.session import acquire, conclude, fly, once
+from follow.loop import follow
+from follow.messages import Autopilot, Order, Tick
+from follow.operator.terminal import Terminal, result, table
+from follow.recording.recorder import Recorder
+from follow.recording.summary import Figures
+from follow.safety.gate import Safety
+from racf.box import Box
+from racf.commandline import UsageError
+from racf.parallel import each
+from sim.plot import Strip, draw
+from sim.scenarios import SCENARIOS, build
+from sim.score import Row, score
+
+OUT = Path("out/sim")
+
+
+@dataclass(frozen=True, slots=True)
+class Flight:
+    """One simulated flight."""
+
+    scenario: str
+    seed: int
+    autopilot: Autopilot
+    tracker: str
+    config: Config
+    named: Set[str]  # of the settings, those that a person gave
+    out: Path
+
+    @property
+    def name(self) -> str:
+        """As a folder is called."""
+        return f"{self.scenario}-{self.autopilot.value}-{self.seed}"
+
+
+def simulate(flight: Flight, terminal: Terminal, *, bar: bool) -> tuple[Figures, bool]:
+    """Fly in the simulator; the summary, and whether it was flown to its end."""
+    scenario, config = SCENARIOS[flight.scenario], flight.config
+    camera, link, world = build(scenario, flight.seed, flight.autopilot)
+    lens, down_rad = camera.settings.intrinsics, camera.settings.down_rad
+    config = suited(config, flight.named, lens, scenario.suggested)
+    target, servo = Target(lens, down_rad, config.target), Servo(down_rad, config.servo)
+    safety = Safety(config.limits)
+    about = f"# follow sim {flight.scenario}\n\n{scenario.about}; seed {flight.seed}, {flight.autopilot.value}"
+    rows: list[Row] = []
+    strip = Strip(scenario.duration_s)
+    with camera, Recorder(flight.out, config.record, terminal.report, waits=True, about=about) as recorder:
+        recorder.settings(as_toml(config))
+        tracker = acquire(flight.tracker, camera.first()[1])
+
+        def true_box(tick: Tick) -> Box | None:
+            truth = camera.truth(tick.frame.index) if tick.frame else None
+            rows.append(Row.of(tick, link.vehicle.motion, truth))
+            if tick.frame is None or truth is None:
+                return None
+            strip.add(tick.frame, truth.box, tick.track.box if tick.track else None)
+            return truth.box
+
+        with link:
+            ticks = follow(camera, link, tracker, target, servo, safety, once(Order.FOLLOW))
+            rounds = round(scenario.duration_s * max(scenario.frames_per_s, 30))
+            finished = fly(
+                terminal.progress(ticks, rounds, flight.name) if bar else ticks, recorder, terminal, true_box
+            )
+        figures: Figures = asdict(score(rows, lens, servo.config.standoff_m, asdict(safety.limits)))
+        figures |= {"scenario": flight.scenario, "seed": flight.seed, "autopilot": flight.autopilot.value}
+        figures = recorder.close({"tracker": flight.tracker, **rounded(figures)})
+    draw(flight.out / "flight.png", flight.name, rows, world, lens, servo.config.standoff_m, strip)
+    return figures, finished
+
+
+def rounded(figures: Figures) -> Figures:
+    """Shares and metres to five digits after the point; what does not apply is left out."""
+    known = {name: value for name, value in figures.items() if value is not None}
+    return {name: round(value, 5) if isinstance(value, float) else value for name, value in known.items()}
+
+
+def sim(command: Sim) -> None:
+    """`follow sim`."""
+    terminal = Terminal()
+    if command.list:
+        sys.stdout.write("".join(f"{name:<20} {s.about}\n" for name, s in SCENARIOS.items()))
+    elif command.scenario not in SCENARIOS:
+        raise UsageError(f"scenario {command.scenario!r} is not known; known are {', '.join(SCENARIOS)}")
+    elif command.all:
+        sim_all(command, tuple(SCENARIOS), terminal)
+    else:
+        autopilot = command.autopilot or Autopilot.PX4
+        out = command.out or OUT / command.scenario
+        flight = Flight(command.scenario, command.seed, autopilot, command.tracker, command.config, command.named, out)
+        figures, finished = simulate(flight, terminal, bar=True)
+        conclude(figures, flight.out, terminal, as_json=command.json, finished=finished)
+
+
+def sim_all(command: Sim, scenarios: Sequence[str], terminal: Terminal) -> None:
+    """Every scenario with several seeds and both vehicles; without the pictures, which would fill the disk."""
+    config = replace(command.config, record=replace(command.config.record, pictures=False))
+    autopilots = [command.autopilot] if command.autopilot else list(Autopilot)
+    flights = [
+        Flight(scenario, seed, autopilot, command.tracker, config, command.named, Path())
+        for scenario in scenarios
+        for autopilot in autopilots
+        for seed in range(command.seed, command.seed + command.seeds)
+    ]
+    out = command.out or OUT
+    flights = [replace(flight, out=out / flight.name) for flight in flights]
+    flown = terminal.progress(each(simulate_quietly, flights), len(flights), "sim --all", "flights")
+    summaries = sorted(
+        (figures for _, figures in flown), key=lambda s: (scenarios.index(s["scenario"]), s["autopilot"], s["seed"])
+    )
+    written = table(summaries)
+    (out / "all.txt").write_text(written)
+    if command.json:
+        result(summaries, as_json=True)
+    else:
+        sys.stdout.write(written)
+
+
+def simulate_quietly(flight: Flight) -> Figures:
+    """One flight of many, in a process of its own."""
+    return simulate(flight, Terminal(), bar=False)[0]

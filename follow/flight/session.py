@@ -1,0 +1,52 @@
+"""What replayed, simulated and real flights have in common around the loop."""
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+from follow.control.acquire import Acquire
+from follow.messages import Order, Tick
+from follow.operator.terminal import Terminal, result
+from follow.recording.recorder import Recorder
+from follow.recording.summary import Figures
+from racf import Racf
+from racf.box import Box
+from racf.commandline import UsageError
+from racf.evaluate.trackers import TrackerSpec
+from racf.tracker import warm_up
+
+
+def acquire(name: str, box: Box) -> Acquire:
+    """A warm tracker that will start on the box in the first picture; raises UsageError for an unknown name."""
+    try:
+        tracker = TrackerSpec.parse(name).build()
+    except ValueError as error:
+        raise UsageError(f"--tracker: {error}") from None
+    if isinstance(tracker, Racf):
+        warm_up()
+        return Acquire(tracker.init, tracker.update, box)
+    return Acquire(tracker.init, lambda image, _prior: tracker.update(image), box)
+
+
+def once(order: Order) -> Callable[[], Order | None]:
+    """An operator who gives one order, in the first round."""
+    orders = iter((order,))
+    return lambda: next(orders, None)
+
+
+def fly(ticks: Iterable[Tick], recorder: Recorder, terminal: Terminal, truth: Callable[[Tick], Box | None]) -> bool:
+    """Record every tick until the frames end; False when a person stopped it."""
+    try:
+        for tick in ticks:
+            recorder.tick(tick, truth(tick))
+    except KeyboardInterrupt:
+        terminal.report("stopped by Ctrl-C: everything up to here is written")
+        return False
+    return True
+
+
+def conclude(figures: Figures, out: Path, terminal: Terminal, *, as_json: bool, finished: bool) -> None:
+    """Print what came out; raises KeyboardInterrupt when the flight was cut short."""
+    result(figures, as_json=as_json)
+    terminal.report(f"recording: {out / 'flight.rrd'}")
+    if not finished:
+        raise KeyboardInterrupt

@@ -1,0 +1,179 @@
+"""A vehicle over UDP, TCP, a serial line or MAVSDK: `follow.link.client` with a wire and a clock.
+
+One thread only reads, so that a byte's time of arrival is true while the loop computes.  Everything is judged and
+sent in the caller's thread: when that hangs, the stream of setpoints stops and the autopilot's failsafe acts.
+"""
+
+import logging
+import threading
+import time
+from queue import Empty, SimpleQueue
+from types import TracebackType
+
+from typing_extensions import Self
+
+from follow.link import LinkError
+from follow.link.client import MavlinkClient, TelemetryRates
+from follow.link.packets import Message
+from follow.link.signing import Signing
+from follow.link.tlog import Tlog
+from follow.link.transports import Source, Wire, open_wire
+from follow.messages import NEVER, Setpoint, VehicleState
+
+log = logging.getLogger(__name__)
+
+READ_S = 0.05  # how long the reading thread waits at most before it looks whether it should end
+HOLD_S = 2.0  # PX4 tells a new mode up to 1 s late; twice that
+
+
+class MavlinkLink:
+    """A Link over a wire.  Its clock is the machine's monotonic one."""
+
+    def __init__(
+        self,
+        wire: Wire,
+        system_id: int | None = None,
+        rates: TelemetryRates | None = None,
+        signing: Signing | None = None,
+        tlog: Tlog | None = None,
+    ):
+        self.client = MavlinkClient(system_id, rates, signing)
+        self.unsent = 0  # packets that the wire did not take
+        self._wire = wire
+        self._tlog = tlog
+        self._arrived: SimpleQueue[tuple[float, bytes, Source]] = SimpleQueue()
+        self._ending = threading.Event()
+        self._reader = threading.Thread(target=self._read, name="link reader", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._reader.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            self._leave()
+        finally:
+            self._ending.set()
+            self._reader.join()
+            self._wire.close()
+            if self._tlog is not None:
+                self._tlog.close()
+
+    def state(self) -> VehicleState:
+        """What is known of the vehicle now."""
+        self.pump()
+        return self.client.state(time.monotonic())
+
+    def send(self, setpoint: Setpoint | None) -> None:
+        """Hand one setpoint to the autopilot at once, or nothing when None."""
+        self.client.send_setpoint(setpoint, time.monotonic())
+        self._flush()
+
+    def take_control(self) -> None:
+        """Ask, once, for OFFBOARD or GUIDED; only an operator's explicit order may lead here."""
+        log.info("asking for the mode that obeys setpoints")
+        self.client.take_control()
+
+    def hold(self) -> None:
+        """Ask, once, for Hold or BRAKE if the vehicle obeys us."""
+        if self.client.hold():
+            log.info("asking for %s", self.client.state(NEVER).commanded_mode)
+
+    def pump(self) -> list[Message]:
+        """Take in what arrived and send what is due; returns the messages heard."""
+        messages: list[Message] = []
+        while True:
+            try:
+                t_s, data, source = self._arrived.get_nowait()
+            except Empty:
+                break
+            refused = self.client.packets.refused
+            found = self.client.receive(data, t_s, self._wire.datagrams)
+            # A vehicle whose signing clock is behind ours is refused until it has heard ours.
+            is_unheard = self.client.vehicle_id is None and self.client.packets.refused > refused
+            if is_unheard or any(self.client.is_from_vehicle(message) for message in found):
+                self._wire.answer_to(source)
+            if self._tlog is not None:
+                unix_s = time.time() - (time.monotonic() - t_s)
+                for message in found:
+                    self._tlog.write(bytes(message.get_msgbuf()), unix_s)
+            messages += found
+        self.client.step(time.monotonic())
+        self._flush()
+        return messages
+
+    def wait_for_vehicle(self, timeout_s: float) -> None:
+        """Until heartbeat, attitude and position are known; raises LinkError naming what is missing."""
+        end_s = time.monotonic() + timeout_s
+        while True:
+            state = self.state()
+            known = {
+                "heartbeat of a PX4 or ArduPilot multirotor": state.heartbeat_t_s,
+                "attitude": state.attitude_t_s,
+                "local position": state.position_t_s,
+            }
+            missing = [name for name, t_s in known.items() if t_s == NEVER]
+            if not missing:
+                return
+            if time.monotonic() > end_s:
+                raise LinkError(f"no {' and no '.join(missing)} came within {timeout_s:g} s")
+            time.sleep(0.01)
+
+    def listen(self, seconds: float) -> None:
+        """Keep the conversation going for a while, sending no setpoint."""
+        end_s = time.monotonic() + seconds
+        while time.monotonic() < end_s:
+            self.pump()
+            time.sleep(0.01)
+
+    def _read(self) -> None:
+        while not self._ending.is_set():
+            data, source = self._wire.read(READ_S)
+            if data:
+                self._arrived.put((time.monotonic(), data, source))
+
+    def _flush(self) -> None:
+        for packet in self.client.take():
+            if not self._wire.write(packet):
+                self.unsent += 1
+            if self._tlog is not None:
+                self._tlog.write(packet, time.time())
+
+    def _leave(self) -> None:
+        """Leave the vehicle hovering: in Hold or BRAKE if it obeyed us, untouched if it did not."""
+        self.pump()
+        if not self.client.hold():
+            log.info("leaving: the vehicle is not ours, nothing is asked of it")
+            return
+        wanted = self.client.state(NEVER).commanded_mode
+        end_s = time.monotonic() + HOLD_S
+        while self.client.is_asking() and time.monotonic() < end_s:
+            self.pump()
+            time.sleep(0.01)
+        mode = self.client.state(NEVER).mode
+        if mode == wanted:
+            log.info("leaving: the vehicle is in %s", mode)
+        else:
+            log.warning("leaving: asked for %s, but the vehicle is in %s", wanted, mode)
+
+
+def connect(
+    uri: str,
+    system_id: int | None = None,
+    rates: TelemetryRates | None = None,
+    signing: Signing | None = None,
+    tlog: Tlog | None = None,
+) -> MavlinkLink:
+    """A link over `udpin:`, `udpout:`, `tcp:` or `serial:`, or with `mavsdk+` before MAVSDK's own `udpin://...`.
+
+    Raises LinkError when it cannot be opened.
+    """
+    if uri.startswith("mavsdk+"):
+        if signing is not None:
+            raise LinkError("MAVSDK cannot sign here: use the link without `mavsdk+`, or no key")
+        from follow.link.mavsdk_transport import open_mavsdk  # noqa: PLC0415 (a large library that other links do without)
+
+        return MavlinkLink(open_mavsdk(uri, system_id), system_id, rates, signing, tlog)
+    return MavlinkLink(open_wire(uri), system_id, rates, signing, tlog)

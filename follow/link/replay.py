@@ -1,0 +1,131 @@
+"""The replay link: a vehicle that only pretends to fly, so that footage can be run through servo and gate.
+
+The footage does not answer to it.  With `follow.camera.window` it does, as far as it can: a virtual camera looks at a
+window of each picture, and the vehicle's yaw and height move the window, so that bad control loses a real target.
+"""
+
+import math
+from dataclasses import replace
+from types import TracebackType
+
+from typing_extensions import Self
+
+from follow.messages import HOVER, Autopilot, Setpoint, VehicleState
+
+# Times to 63 % of a step, dead time included, as measured on PX4 1.16 and ArduCopter 4.7-dev; the middle of both.
+YAW_TAU_S = 0.37  # 0.45 and 0.29 to 0.5 rad/s
+SPEED_TAU_S = 0.77  # 0.67 and 0.87 to 2 m/s
+CLIMB_TAU_S = 0.55  # 0.31 and 0.79 to 1 m/s
+FASTEST_M_S = 20.0  # beyond PX4's MPC_XY_VEL_MAX (12) and ArduPilot's usual WPNAV_SPEED limit: not a follow-me's wish
+FASTEST_YAW_RAD_S = math.radians(
+    200.0
+)  # PX4's MPC_MAN_Y_MAX default range ends at 400, ArduPilot's ATC_SLEW_YAW at 180
+STREAM_TIMEOUT_S = {Autopilot.PX4: 1.1, Autopilot.ARDUPILOT: 3.0}  # measured: flies on this long without setpoints
+MODE = {Autopilot.PX4: "OFFBOARD", Autopilot.ARDUPILOT: "GUIDED"}
+
+
+class ReplayLink:
+    """A vehicle with first-order answers, whose time advances by one picture's period at each `send`.
+
+    With `holds_place` its horizontal position stays, whatever speed is commanded: the footage's camera did not move.
+    `refused` counts, by rule, the setpoints that were not obeyed and the times that the stream was missed.
+    """
+
+    def __init__(
+        self,
+        fps: float,
+        height_m: float,
+        autopilot: Autopilot = Autopilot.PX4,
+        holds_place: bool = False,
+    ) -> None:
+        self._fps = fps
+        self._autopilot = autopilot
+        self._holds_place = holds_place
+        self._round = 0
+        self._obeyed = HOVER
+        self._silent_s = 0.0
+        self.refused = {"too fast": 0, "stream timeout": 0}
+        self._state = self._stamped(VehicleState(0.0, down_m=-height_m, autopilot=autopilot))
+
+    def state(self) -> VehicleState:
+        """The vehicle now: telemetry is complete and as fresh as the picture."""
+        return self._state
+
+    def send(self, setpoint: Setpoint | None) -> None:
+        """Check the setpoint as an autopilot would, then fly it for one period.
+
+        Raises ValueError for a setpoint that is not finite.
+        """
+        if setpoint is not None:
+            setpoint.require_finite()
+        if setpoint is None:
+            self._silent_s += 1 / self._fps
+            timeout = STREAM_TIMEOUT_S[self._autopilot]
+            if self._silent_s >= timeout > self._silent_s - 1 / self._fps:
+                self.refused["stream timeout"] += 1
+            if self._silent_s >= timeout:
+                self._obeyed = HOVER
+        elif not _within(setpoint):
+            self.refused["too fast"] += 1
+        else:
+            self._silent_s = 0.0
+            self._obeyed = setpoint
+        self._round += 1
+        self._fly()
+
+    def _fly(self) -> None:
+        dt = 1 / self._fps
+        old, wanted = self._state, self._obeyed
+        turned = 1 - math.exp(-dt / YAW_TAU_S)
+        sped = 1 - math.exp(-dt / SPEED_TAU_S)
+        climbed = 1 - math.exp(-dt / CLIMB_TAU_S)
+        yaw_rate = old.yaw_rate_rad_s + turned * (wanted.yaw_rate_rad_s - old.yaw_rate_rad_s)
+        yaw = math.remainder(old.yaw_rad + dt * yaw_rate, math.tau)
+        c, s = math.cos(yaw), math.sin(yaw)
+        north = c * wanted.forward_m_s - s * wanted.right_m_s
+        east = s * wanted.forward_m_s + c * wanted.right_m_s
+        if self._holds_place:
+            north = east = 0.0
+        north_m_s = old.north_m_s + sped * (north - old.north_m_s)
+        east_m_s = old.east_m_s + sped * (east - old.east_m_s)
+        down_m_s = old.down_m_s + climbed * (wanted.down_m_s - old.down_m_s)
+        flown = replace(
+            old,
+            yaw_rad=yaw,
+            yaw_rate_rad_s=yaw_rate,
+            north_m=old.north_m + dt * north_m_s,
+            east_m=old.east_m + dt * east_m_s,
+            down_m=old.down_m + dt * down_m_s,
+            north_m_s=north_m_s,
+            east_m_s=east_m_s,
+            down_m_s=down_m_s,
+        )
+        self._state = self._stamped(flown)
+
+    def _stamped(self, state: VehicleState) -> VehicleState:
+        t_s = self._round / self._fps
+        mode = MODE[self._autopilot]
+        return replace(
+            state,
+            t_s=t_s,
+            attitude_t_s=t_s,
+            position_t_s=t_s,
+            heartbeat_t_s=t_s,
+            mode=mode,
+            commanded_mode=mode,
+            in_control=True,
+            armed=True,
+        )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.send(HOVER)
+
+
+def _within(setpoint: Setpoint) -> bool:
+    speed = math.hypot(setpoint.forward_m_s, setpoint.right_m_s, setpoint.down_m_s)
+    return speed <= FASTEST_M_S and abs(setpoint.yaw_rate_rad_s) <= FASTEST_YAW_RAD_S

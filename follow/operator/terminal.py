@@ -1,0 +1,135 @@
+"""What a person at the terminal sees: messages and progress on standard error, the result on standard output."""
+
+import errno
+import json
+import logging
+import math
+import os
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from typing import TypeVar
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
+from rich.text import Text
+
+from follow.recording.summary import Figures
+
+ItemT = TypeVar("ItemT")
+
+
+class Terminal:
+    """Standard error for a person.  `listeners` hear each message too (the recording is one)."""
+
+    def __init__(self) -> None:
+        self.listeners: list[Callable[[str], None]] = []
+        self._console = _Lasting(stderr=True, highlight=False)
+
+    def report(self, text: str) -> None:
+        """Print one line and tell the listeners."""
+        line = " ".join(text.split())
+        try:
+            self._console.print(line, markup=False, soft_wrap=True)
+        except OSError:  # the terminal was closed
+            self._console.quiet = True
+        for listener in self.listeners:
+            listener(line)
+
+    def progress(self, items: Iterable[ItemT], total: int | None, name: str, unit: str = "frames") -> Iterator[ItemT]:
+        """Pass the items on under a bar with their rate and the time left."""
+        columns = (
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            _Rate(unit),
+            TimeRemainingColumn(),
+        )
+        with Progress(
+            *columns, console=self._console, transient=True, disable=not self._console.is_terminal
+        ) as progress:
+            yield from progress.track(items, total=total, description=name)
+
+    def hear(self, logger: str) -> None:
+        """Report what a part of the program logs."""
+        source = logging.getLogger(logger)
+        source.setLevel(logging.INFO)
+        source.addHandler(_Reporting(self.report))
+
+
+class _Lasting(Console):
+    """A console whose reader may go away: a flight does not end for want of a listener."""
+
+    def on_broken_pipe(self) -> None:
+        """Say nothing from now on."""
+        self.quiet = True
+
+
+class _Reporting(logging.Handler):
+    """Log records as lines for a person."""
+
+    def __init__(self, report: Callable[[str], None]) -> None:
+        super().__init__()
+        self._report = report
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Report one record."""
+        self._report(record.getMessage())
+
+
+class _Rate(ProgressColumn):
+    """Items per second."""
+
+    def __init__(self, unit: str) -> None:
+        super().__init__()
+        self._unit = unit
+
+    def render(self, task: Task) -> Text:
+        """The column's text."""
+        speed = task.finished_speed or task.speed
+        return Text("" if speed is None else f"{speed:.1f} {self._unit}/s")
+
+
+def result(figures: Figures | list[Figures], *, as_json: bool) -> None:
+    """Print the result on standard output, for a program or for a person; a terminal may have been closed meanwhile."""
+    try:
+        sys.stdout.write(listed(figures) if isinstance(figures, dict) and not as_json else _json(figures))
+        sys.stdout.flush()
+    except OSError as error:
+        if error.errno != errno.EIO:
+            raise
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for what is flushed at the end
+
+
+def _json(figures: Figures | list[Figures]) -> str:
+    return json.dumps(figures, indent=2) + "\n"
+
+
+def listed(figures: Figures) -> str:
+    """Figures as lines for a person."""
+    width = max(map(len, figures))
+    text = ""
+    for name, value in figures.items():
+        shown = ", ".join(f"{k} {v:g}" for k, v in value.items()) if isinstance(value, dict) else value
+        text += f"{name:<{width}}  {shown}\n"
+    return text
+
+
+COLUMNS = ("in_view", "centring_rms", "standoff_rms_m", "lost_s", "violations", "worst_t_s")
+
+
+def table(summaries: list[Figures]) -> str:
+    """Flights as text: a line each, then the means of each scenario and autopilot setting."""
+    lines = [f"{'scenario':<22}{'autopilot':<11}{'seed':>5}" + "".join(f"{name:>16}" for name in COLUMNS)]
+    groups: dict[tuple[str, str], list[Figures]] = {}
+    for s in summaries:
+        groups.setdefault((s["scenario"], s["autopilot"]), []).append(s)
+    for (scenario, autopilot), flights in groups.items():
+        rows = [(str(s["seed"]), [_number(s.get(name, math.nan)) for name in COLUMNS]) for s in flights]
+        rows.append(("mean", [sum(column) / len(flights) for column in zip(*(r[1] for r in rows), strict=True)]))
+        lines += [f"{scenario:<22}{autopilot:<11}{seed:>5}" + "".join(f"{v:>16.4g}" for v in row) for seed, row in rows]
+    return "\n".join(lines) + "\n"
+
+
+def _number(value: float | dict[str, int]) -> float:
+    """Violations count together."""
+    return float(sum(value.values())) if isinstance(value, dict) else value

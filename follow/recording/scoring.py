@@ -1,0 +1,100 @@
+"""A flight over annotated footage, scored: the tracker's boxes, and how well the target was kept in view."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from follow.messages import Tick
+from follow.recording.summary import Figures
+from racf.box import Box
+from racf.evaluate.boxfiles import read_boxes
+from racf.evaluate.metrics import Boxes, Convention, score
+
+
+class Truth:
+    """The true boxes of a footage.  The file is 1-based, as benchmarks are; everything given out is 0-based.
+
+    Raises ValueError when the first row holds no box: it starts the tracker.
+    """
+
+    def __init__(self, path: Path) -> None:
+        try:
+            self.rows: Boxes = read_boxes(path)
+        except UnicodeDecodeError:
+            raise ValueError(f"{path} must be a text of boxes, x,y,w,h in each row") from None
+        start = self.box(0)
+        if start is None:
+            raise ValueError(f"{path}, row 1: the first row must hold a box, not {_row(self.rows[0])}")
+        self.start = start
+
+    def box(self, index: int) -> Box | None:
+        """The true box in picture `index`, None where the target is absent or the rows have ended."""
+        if not 0 <= index < len(self.rows):
+            return None
+        x, y, w, h = (float(v) for v in self.rows[index])
+        good = np.all(np.isfinite(self.rows[index])) and w > 0 and h > 0
+        return Box(x - 1, y - 1, w, h) if good else None
+
+
+class Footage:
+    """Gathers boxes tick by tick over footage of size `whole`.
+
+    `window` says which part of it the camera shows now; None when it shows all.
+    """
+
+    def __init__(self, truth: Truth | None, whole: Box, window: Callable[[], Box] | None = None) -> None:
+        self._truth = truth
+        self._window = window or (lambda: whole)
+        self._closed_loop = window is not None
+        self._boxes = np.full_like(truth.rows, np.nan) if truth else np.empty((0, 4))
+        self._rounds = 0
+        self._pictures = 0
+        self._offsets: list[tuple[float, float]] = []
+
+    def add(self, tick: Tick) -> Box | None:
+        """Take in one round; returns the true box in the picture of this round, if there is one."""
+        if self._truth is None or tick.frame is None or tick.track is None:
+            return None
+        window = self._window()
+        index, box = tick.frame.index, tick.track.box
+        self._pictures = max(self._pictures, index + 1)
+        if index < len(self._boxes):
+            self._rounds = max(self._rounds, index + 1)
+            self._boxes[index] = (box.x + window.x + 1, box.y + window.y + 1, box.w, box.h)
+        true = self._truth.box(index)
+        if true is None:
+            return None
+        half_w, half_h = window.w / 2, window.h / 2
+        self._offsets.append(((true.centre_x - window.centre_x) / half_w, (true.centre_y - window.centre_y) / half_h))
+        return true.moved(-window.x, -window.y)
+
+    def figures(self) -> Figures:
+        """Percent, over the rows that were played; for a moving window also how well the target was kept in view."""
+        if self._truth is None or self._rounds == 0:
+            return {}
+        boxes, truth = self._boxes[: self._rounds], self._truth.rows[: self._rounds]
+        figures: Figures = {}
+        for convention, suffix in ((Convention.TOOLKIT, ""), (Convention.STRICT, "_strict")):
+            scored = score(boxes, truth, convention)
+            figures[f"precision_20px{suffix}"] = round(scored.precision_20px, 3)
+            figures[f"auc{suffix}"] = round(scored.auc, 3)
+        if self._closed_loop:
+            window = self._window()
+            offsets = np.array(self._offsets)
+            figures["in_view"] = round(float(np.mean(np.all(np.abs(offsets) <= 1.0, axis=1))), 5)
+            half_widths = offsets * (1.0, window.h / window.w)
+            figures["centring_rms"] = round(float(np.sqrt(np.mean(np.sum(half_widths**2, axis=1)))), 5)
+        return figures
+
+    def shortfall(self) -> str | None:
+        """One line when rows and pictures do not match in number."""
+        if self._rounds < len(self._boxes):
+            return f"{len(self._boxes)} annotated rows, but {self._rounds} pictures: scored on the latter"
+        if self._truth is not None and self._pictures > len(self._boxes):
+            return f"{self._pictures} pictures, but {len(self._boxes)} annotated rows: scored on the latter"
+        return None
+
+
+def _row(row: Boxes) -> str:
+    return ",".join(f"{v:g}" for v in row)

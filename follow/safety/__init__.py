@@ -1,0 +1,4 @@
+"""The gate: no byte reaches an autopilot but through `Safety.allow`.  One person can review this room whole.
+
+May import: messages, geometry, ranges.  Pure functions of their arguments: no I/O, no clock.
+"""

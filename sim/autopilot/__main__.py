@@ -1,0 +1,5 @@
+"""`python -m sim.autopilot`."""
+
+from sim.autopilot.program import main
+
+main()

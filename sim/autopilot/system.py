@@ -1,0 +1,315 @@
+"""A simulated autopilot as a MAVLink system, without I/O: bytes in, time on, bytes out.
+
+It has one or more links (an application's, a ground station's); each has its own message intervals, and what is
+meant for others is passed on between them, as PX4 and ArduPilot do.
+"""
+
+import math
+import struct
+from dataclasses import dataclass, field
+
+from pymavlink.dialects.v20 import common as dialect
+
+from follow.link.signing import UNITS_PER_S
+from follow.messages import Autopilot
+from sim.autopilot.core import NO_PWM, Flight, Result
+from sim.autopilot.rules import RULES
+from sim.autopilot.telemetry import ORIGINS, REPORTS, UNASKED_HZ, Message
+from sim.dynamics import Vehicle
+
+FORCE = 21196  # MAV_CMD_COMPONENT_ARM_DISARM's magic number for "in flight, too"
+PARAMETER_TYPES = {
+    Autopilot.PX4: {int: dialect.MAV_PARAM_TYPE_INT32, float: dialect.MAV_PARAM_TYPE_REAL32},
+    Autopilot.ARDUPILOT: {int: dialect.MAV_PARAM_TYPE_INT16, float: dialect.MAV_PARAM_TYPE_REAL32},
+}
+NO_AXIS = 0x7FFF  # MANUAL_CONTROL: the remote control has no such stick
+KEEP, RELEASE = 0xFFFF, 0  # RC_CHANNELS_OVERRIDE: leave the channel as it is; give it back
+# What the old REQUEST_DATA_STREAM switches on, all groups together
+STREAMED = (
+    dialect.MAVLINK_MSG_ID_SYS_STATUS,
+    dialect.MAVLINK_MSG_ID_ATTITUDE,
+    dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
+    dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
+    dialect.MAVLINK_MSG_ID_GPS_RAW_INT,
+    dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
+    dialect.MAVLINK_MSG_ID_VFR_HUD,
+)
+
+
+@dataclass(slots=True)
+class _Link:
+    """One way in and out: its codec, what is sent how often, who was heard on it."""
+
+    mav: dialect.MAVLink
+    every_s: dict[int, float]
+    due_t_s: dict[int, float] = field(default_factory=dict)
+    heard: set[tuple[int, int]] = field(default_factory=set)
+    out: list[bytes] = field(default_factory=list)
+
+
+class AutopilotSystem:
+    """An autopilot on `links` links.  `boot_s` is what its clock shows when the caller's shows 0.
+
+    `key` (32 bytes) makes it sign its packets and ignore those that are not signed with the same; their time begins
+    at `signing_time` (10 us since 2015) when the caller's clock shows 0.
+    """
+
+    def __init__(
+        self,
+        autopilot: Autopilot,
+        vehicle: Vehicle,
+        links: int = 1,
+        boot_s: float = 100.0,
+        key: bytes | None = None,
+        signing_time: int = 0,
+    ):
+        self.flight: Flight = RULES[autopilot](vehicle)
+        self.t_s = self.flight.t_s
+        self._boot_s = boot_s
+        self._signing_time = signing_time
+        self._told_mode = self.flight.mode
+        self._links = [_Link(self._codec(n, key), self._unasked()) for n in range(links)]
+
+    def receive(self, data: bytes, link: int = 0) -> None:
+        """Take in bytes that arrived on one link."""
+        way = self._links[link]
+        for message in way.mav.parse_buffer(data) or ():
+            if message.get_type() == "BAD_DATA" or message.get_type().startswith("UNKNOWN"):
+                continue
+            source = message.get_srcSystem(), message.get_srcComponent()
+            way.heard.add(source)
+            if self._is_for_us(message):
+                act = getattr(self, f"_on_{message.get_type().lower()}", None)
+                if act:
+                    act(message, way)
+            self._pass_on(message, way)
+
+    def step(self, t_s: float) -> None:
+        """Fly on until `t_s` and queue the telemetry that is due."""
+        self.flight.advance(t_s)
+        self.t_s = t_s
+        ardupilot = self.flight.autopilot is Autopilot.ARDUPILOT
+        for way in self._links:
+            signing = way.mav.signing
+            signing.timestamp = max(signing.timestamp, self._signing_time + round(t_s * UNITS_PER_S))
+            if ardupilot and self.flight.mode != self._told_mode:
+                way.due_t_s[dialect.MAVLINK_MSG_ID_HEARTBEAT] = t_s  # it tells a new mode at once
+            for number, every_s in way.every_s.items():
+                if t_s >= way.due_t_s.get(number, t_s) - 1e-9:
+                    self._send(way, REPORTS[number](self.flight, self._boot_time_s()))
+                    way.due_t_s[number] = max(way.due_t_s.get(number, t_s) + every_s, t_s)
+            for text in self.flight.texts:
+                severity = dialect.MAV_SEVERITY_CRITICAL
+                self._send(way, dialect.MAVLink_statustext_message(severity, text.encode()[:50]))
+        self._told_mode = self.flight.mode
+        self.flight.texts.clear()
+
+    def take(self, link: int = 0) -> list[bytes]:
+        """The packets to be sent now on one link; each is handed out once."""
+        way = self._links[link]
+        out, way.out = way.out, []
+        return out
+
+    def _codec(self, link: int, key: bytes | None) -> dialect.MAVLink:
+        mav = dialect.MAVLink(None, srcSystem=1, srcComponent=dialect.MAV_COMP_ID_AUTOPILOT1)
+        mav.robust_parsing = True
+        if key is not None:
+            mav.signing.secret_key = key
+            mav.signing.link_id = link
+            mav.signing.timestamp = self._signing_time
+            mav.signing.sign_outgoing = True
+        return mav
+
+    def _unasked(self) -> dict[int, float]:
+        return {number: 1.0 / rate for number, rate in UNASKED_HZ[self.flight.autopilot].items()}
+
+    def _boot_time_s(self) -> float:
+        return self.t_s + self._boot_s
+
+    def _send(self, way: _Link, message: Message) -> None:
+        way.out.append(message.pack(way.mav))
+        way.mav.seq = (way.mav.seq + 1) % 256
+
+    def _is_for_us(self, message: Message) -> bool:
+        system = getattr(message, "target_system", 0)
+        component = getattr(message, "target_component", 0)
+        return system in (0, 1) and component in (0, dialect.MAV_COMP_ID_AUTOPILOT1)
+
+    def _pass_on(self, message: Message, origin: _Link) -> None:
+        """Broadcasts go to every other link, the rest to where its addressee was heard."""
+        target = getattr(message, "target_system", 0), getattr(message, "target_component", 0)
+        if target[0] and self._is_for_us(message):
+            return
+        for way in self._links:
+            known = any(target[0] in (0, s) and target[1] in (0, c) for s, c in way.heard)
+            if way is not origin and known:
+                way.out.append(bytes(message.get_msgbuf()))
+
+    # What arrives
+
+    def _on_heartbeat(self, message: dialect.MAVLink_heartbeat_message, _way: _Link) -> None:
+        if message.type == dialect.MAV_TYPE_GCS:
+            self.flight.ground_station_t_s = self.t_s
+
+    def _on_timesync(self, message: dialect.MAVLink_timesync_message, way: _Link) -> None:
+        if message.tc1 == 0:
+            self._send(way, dialect.MAVLink_timesync_message(round(self._boot_time_s() * 1e9), message.ts1))
+
+    def _on_set_position_target_local_ned(
+        self, message: dialect.MAVLink_set_position_target_local_ned_message, _way: _Link
+    ) -> None:
+        velocity = message.vx, message.vy, message.vz
+        self.flight.take_setpoint(message.coordinate_frame, message.type_mask, velocity, message.yaw_rate)
+
+    def _on_manual_control(self, message: dialect.MAVLink_manual_control_message, _way: _Link) -> None:
+        axes = message.x, message.y, message.z, message.r
+        pitch, roll, throttle, yaw = (None if axis == NO_AXIS else axis / 1e3 for axis in axes)
+        down = None if throttle is None else 1.0 - 2.0 * throttle  # the throttle's middle is at 0.5
+        self.flight.take_sticks((pitch, roll, down, yaw), self.flight.switches)
+
+    def _on_rc_channels_override(self, message: dialect.MAVLink_rc_channels_override_message, _way: _Link) -> None:
+        roll, pitch, throttle, yaw, *rest = (getattr(message, f"chan{n}_raw") for n in range(1, 9))
+        before = self.flight.sticks or (None,) * 4
+        moved = zip(before, (pitch, roll, throttle, yaw), (-1, 1, -1, 1), strict=True)
+        axes = [{KEEP: old, RELEASE: None}.get(pwm, sign * (pwm - 1500) / 500) for old, pwm, sign in moved]
+        switches = self.flight.switches or (NO_PWM,) * 4
+        switched = zip(switches, rest, strict=True)
+        switches = tuple(old if pwm == KEEP else pwm or NO_PWM for old, pwm in switched)  # 0 is RELEASE
+        self.flight.take_sticks(axes, switches)
+
+    def _on_set_mode(self, message: dialect.MAVLink_set_mode_message, _way: _Link) -> None:
+        custom = message.custom_mode
+        px4 = self.flight.autopilot is Autopilot.PX4
+        self.flight.ask_mode(*((custom >> 16 & 0xFF, custom >> 24 & 0xFF) if px4 else (custom, 0)))
+
+    def _on_request_data_stream(self, message: dialect.MAVLink_request_data_stream_message, way: _Link) -> None:
+        for number in STREAMED:
+            way.every_s.pop(number, None)
+            if message.start_stop and message.req_message_rate:
+                way.every_s[number] = 1.0 / message.req_message_rate
+
+    def _on_mission_request_list(self, message: dialect.MAVLink_mission_request_list_message, way: _Link) -> None:
+        source = message.get_srcSystem(), message.get_srcComponent()
+        self._send(way, dialect.MAVLink_mission_count_message(*source, 0, message.mission_type))
+
+    # Parameters
+
+    def _on_param_request_list(self, _message: dialect.MAVLink_param_request_list_message, way: _Link) -> None:
+        for name in self.flight.parameters:
+            self._tell_parameter(name, way)
+
+    def _on_param_request_read(self, message: dialect.MAVLink_param_request_read_message, way: _Link) -> None:
+        names = list(self.flight.parameters)
+        index = message.param_index
+        name = names[index] if 0 <= index < len(names) else message.param_id
+        if name in self.flight.parameters:
+            self._tell_parameter(name, way)
+
+    def _on_param_set(self, message: dialect.MAVLink_param_set_message, _way: _Link) -> None:
+        name = message.param_id
+        if name not in self.flight.parameters:
+            return
+        kind = type(self.flight.parameters[name])
+        value = message.param_value
+        if kind is int and self.flight.autopilot is Autopilot.PX4:  # an integer's four bytes in the place of a float's
+            value = struct.unpack("<i", struct.pack("<f", value))[0]
+        if not math.isfinite(value):
+            return
+        self.flight.parameters[name] = kind(value)
+        for way in self._links:
+            self._tell_parameter(name, way)
+
+    def _tell_parameter(self, name: str, way: _Link) -> None:
+        value = self.flight.parameters[name]
+        kind = PARAMETER_TYPES[self.flight.autopilot][type(value)]
+        if isinstance(value, int) and self.flight.autopilot is Autopilot.PX4:
+            value = struct.unpack("<f", struct.pack("<i", value))[0]
+        names = list(self.flight.parameters)
+        message = dialect.MAVLink_param_value_message(name.encode(), value, kind, len(names), names.index(name))
+        self._send(way, message)
+
+    # Commands
+
+    def _on_command_int(self, message: dialect.MAVLink_command_int_message, way: _Link) -> None:
+        numbers = message.param1, message.param2, message.param3, message.param4, message.x, message.y, message.z
+        self._obey(message, message.command, numbers, way)
+
+    def _on_command_long(self, message: dialect.MAVLink_command_long_message, way: _Link) -> None:
+        self._obey(message, message.command, tuple(getattr(message, f"param{n}") for n in range(1, 8)), way)
+
+    def _obey(self, message: Message, command: int, p: tuple[float, ...], way: _Link) -> None:
+        """Carry out one command and acknowledge it to its sender."""
+        source = message.get_srcSystem(), message.get_srcComponent()
+        if command in WHOLE and not math.isfinite(p[WHOLE[command]]):
+            results = [Result.DENIED]
+        else:
+            results = getattr(self, COMMANDS.get(command, "_unsupported"))(p, way)
+        for result in results:
+            self._send(way, dialect.MAVLink_command_ack_message(command, int(result), 0, 0, *source))
+
+    def _unsupported(self, _p: tuple[float, ...], _way: _Link) -> list[Result]:
+        return [Result.UNSUPPORTED]
+
+    def _arm_disarm(self, p: tuple[float, ...], _way: _Link) -> list[Result]:
+        return [self.flight.arm() if p[0] == 1.0 else self.flight.disarm(force=p[1] == FORCE)]
+
+    def _do_set_mode(self, p: tuple[float, ...], _way: _Link) -> list[Result]:
+        has_sub = self.flight.autopilot is Autopilot.PX4 and math.isfinite(p[2])  # NaN: a parameter that is not used
+        sub = int(p[2]) if has_sub else 0
+        return self.flight.ask_mode(int(p[1]), sub)
+
+    def _take_off(self, p: tuple[float, ...], _way: _Link) -> list[Result]:
+        height = p[6] if math.isfinite(p[6]) else 0.0
+        if height and self.flight.autopilot is Autopilot.PX4:
+            height -= ORIGINS[Autopilot.PX4][2]  # PX4 takes it above the sea, ArduPilot above home
+        return [self.flight.take_off(height)]
+
+    def _land(self, _p: tuple[float, ...], _way: _Link) -> list[Result]:
+        return [self.flight.land()]
+
+    def _return(self, _p: tuple[float, ...], _way: _Link) -> list[Result]:
+        self.flight.enter(self.flight.return_mode)
+        return [Result.ACCEPTED]
+
+    def _set_message_interval(self, p: tuple[float, ...], way: _Link) -> list[Result]:
+        number, interval_us = int(p[0]), p[1]
+        if number not in REPORTS:
+            return [Result.UNSUPPORTED if self.flight.autopilot is Autopilot.PX4 else Result.DENIED]
+        way.every_s.pop(number, None)
+        way.due_t_s.pop(number, None)
+        unasked = self._unasked().get(number)
+        if interval_us > 0.0:
+            way.every_s[number] = interval_us / 1e6
+        elif interval_us == 0.0 and unasked:
+            way.every_s[number] = unasked
+        return [Result.ACCEPTED]
+
+    def _request_message(self, p: tuple[float, ...], way: _Link) -> list[Result]:
+        number = int(p[0])
+        if number not in REPORTS:
+            return [Result.UNSUPPORTED]
+        self._send(way, REPORTS[number](self.flight, self._boot_time_s()))
+        return [Result.ACCEPTED]
+
+    def _request_version(self, _p: tuple[float, ...], way: _Link) -> list[Result]:
+        return self._request_message((dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION,), way)
+
+
+COMMANDS = {
+    dialect.MAV_CMD_COMPONENT_ARM_DISARM: "_arm_disarm",
+    dialect.MAV_CMD_DO_SET_MODE: "_do_set_mode",
+    dialect.MAV_CMD_NAV_TAKEOFF: "_take_off",
+    dialect.MAV_CMD_NAV_LAND: "_land",
+    dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH: "_return",
+    dialect.MAV_CMD_SET_MESSAGE_INTERVAL: "_set_message_interval",
+    dialect.MAV_CMD_REQUEST_MESSAGE: "_request_message",
+    dialect.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: "_request_version",
+}
+"""Command -> the method that obeys it."""
+
+WHOLE = {
+    dialect.MAV_CMD_DO_SET_MODE: 1,
+    dialect.MAV_CMD_SET_MESSAGE_INTERVAL: 0,
+    dialect.MAV_CMD_REQUEST_MESSAGE: 0,
+}
+"""Command -> the place of the parameter that is a whole number, and so must be finite."""

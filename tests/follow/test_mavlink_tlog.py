@@ -1,0 +1,43 @@
+"""flight.tlog is read by pymavlink's own log reader, message for message."""
+
+import errno
+import logging
+
+import pytest
+from pymavlink import mavutil
+from pymavlink.dialects.v20 import common as dialect
+
+from follow.link.tlog import Tlog
+
+
+def test_a_log_reads_back_with_its_times(tmp_path):
+    mav = dialect.MAVLink(None, 1, 1)
+    log = Tlog(tmp_path / "flight.tlog")
+    for n in range(50):
+        log.write(mav.attitude_encode(n, 0.01 * n, 0, 0, 0, 0, 0).pack(mav), 1.7e9 + 0.02 * n)
+    log.close()
+    reader = mavutil.mavlink_connection(str(log.path))
+    read = []
+    while (message := reader.recv_match(type="ATTITUDE")) is not None:
+        read.append((message.time_boot_ms, message._timestamp))
+    reader.close()
+    assert [n for n, _ in read] == list(range(50))
+    assert [t for _, t in read] == pytest.approx([1.7e9 + 0.02 * n for n in range(50)], abs=1e-5)
+
+
+def test_a_full_disk_ends_the_log_and_says_so_once(tmp_path, monkeypatch, caplog):
+    log = Tlog(tmp_path / "flight.tlog")
+
+    class Full:
+        def write(self, _data: bytes) -> None:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+        def close(self) -> None: ...
+
+    log._file.close()
+    monkeypatch.setattr(log, "_file", Full())
+    with caplog.at_level(logging.WARNING):
+        for _ in range(5):
+            log.write(b"packet", 0.0)
+        log.close()
+    assert [record.message.count("No space left") for record in caplog.records] == [1]

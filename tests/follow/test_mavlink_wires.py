@@ -1,0 +1,133 @@
+"""The ways that bytes go: whole over UDP, in any pieces over TCP and serial lines, and back again after a drop."""
+
+import contextlib
+import os
+import pty
+import socket
+import time
+
+import pytest
+from pymavlink.dialects.v20 import common as dialect
+
+from follow.link import transports as wire
+from follow.link.connection import MavlinkLink
+from follow.link.packets import Packets
+from follow.link.signing import Signing
+from follow.messages import Autopilot
+from sim.autopilot.system import AutopilotSystem
+from sim.dynamics import Motion, Vehicle
+
+PACKET = dialect.MAVLink(None, 1, 1).heartbeat_encode(2, 12, 1, 0, 4).pack(dialect.MAVLink(None, 1, 1))
+
+
+def read_until(way: wire.Wire, wanted: int, seconds: float = 5.0) -> bytes:
+    end, data = time.monotonic() + seconds, b""
+    while len(data) < wanted and time.monotonic() < end:
+        data += way.read(0.05)[0]
+    return data
+
+
+def test_udp_answers_only_where_it_is_told_to():
+    listening = wire.UdpWire("127.0.0.1", 0, listens=True)
+    with contextlib.closing(listening), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle:
+        vehicle.bind(("127.0.0.1", 0))
+        vehicle.settimeout(2.0)
+        assert not listening.write(PACKET)
+        vehicle.sendto(PACKET, ("127.0.0.1", listening.port))
+        data, source = listening.read(2.0)
+        assert data == PACKET
+        assert not listening.write(PACKET)  # a stranger's datagram does not make it the addressee
+        listening.answer_to(source)
+        assert listening.write(PACKET)
+        assert vehicle.recv(1000) == PACKET
+
+
+def test_udp_without_a_listener_loses_packets_and_does_not_fail():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    speaking = wire.UdpWire("127.0.0.1", port, listens=False)
+    with contextlib.closing(speaking):
+        for _ in range(5):
+            speaking.write(PACKET)
+            assert speaking.read(0.001) == (b"", None)
+
+
+def test_tcp_comes_back_after_a_drop(monkeypatch):
+    monkeypatch.setattr(wire, "REOPEN_S", 0.05)
+    server = socket.create_server(("127.0.0.1", 0))
+    way = wire.TcpWire("127.0.0.1", server.getsockname()[1])
+    with contextlib.closing(way), server:
+        vehicle, _ = server.accept()
+        vehicle.sendall(PACKET * 3)
+        assert read_until(way, 3 * len(PACKET)) == PACKET * 3
+        assert way.write(PACKET)
+        assert vehicle.recv(1000) == PACKET
+        vehicle.close()
+        assert way.read(2.0) == (b"", None)
+        assert not way.write(PACKET)
+        assert way.read(0.06) == (b"", None)  # it connects again
+        vehicle, _ = server.accept()
+        vehicle.sendall(PACKET)
+        assert read_until(way, len(PACKET)) == PACKET
+        vehicle.close()
+
+
+def test_a_serial_line_carries_every_byte_value():
+    vehicle, line = pty.openpty()
+    way = wire.SerialWire(os.ttyname(line), 57600)
+    with contextlib.closing(way):
+        every_byte = bytes(range(256))
+        os.write(vehicle, every_byte)
+        assert read_until(way, 256) == every_byte
+        assert way.write(every_byte)
+        assert os.read(vehicle, 1000) == every_byte
+    os.close(vehicle)
+    os.close(line)
+
+
+@pytest.mark.parametrize("piece", [1, 3, 7, 50])
+def test_packets_cut_anywhere_are_read_whole(piece):
+    stream = PACKET * 20
+    packets = Packets(1, 191)
+    read = [m for at in range(0, len(stream), piece) for m in packets.read(stream[at : at + piece])]
+    assert len(read) == 20
+    assert packets.unreadable == 0
+
+
+def test_a_truncated_datagram_does_not_swallow_the_next():
+    packets = Packets(1, 191)
+    assert packets.read_datagram(PACKET[:-4]) == []
+    assert len(packets.read_datagram(PACKET)) == 1
+
+
+def test_a_false_beginning_in_a_datagram_does_not_hide_the_packet_behind_it():
+    assert len(Packets(1, 191).read_datagram(b"\xfd\xff\x00" + PACKET)) == 1
+
+
+@pytest.mark.parametrize("baud", ["0123", "7", "99999999"])
+def test_a_speed_that_no_line_knows_is_named(baud):
+    with pytest.raises(RuntimeError, match="not a speed"):
+        wire.open_wire(f"serial:/dev/null:{baud}")
+
+
+def test_a_vehicle_whose_signing_clock_is_behind_is_spoken_to_and_then_understood(tmp_path):
+    key = tmp_path / "key"
+    key.write_bytes(bytes(range(32)))
+    key.chmod(0o600)
+    system = AutopilotSystem(Autopilot.PX4, Vehicle(Autopilot.PX4, Motion(down_m=-10.0)), key=key.read_bytes())
+    ours = wire.UdpWire("127.0.0.1", 0, listens=True)
+    theirs = wire.UdpWire("127.0.0.1", ours.port, listens=False)
+    began = time.monotonic()
+    with MavlinkLink(ours, signing=Signing(key)) as link:
+        while link.client.vehicle_id is None and time.monotonic() - began < 10.0:
+            system.step(time.monotonic() - began)
+            for packet in system.take():
+                theirs.write(packet)
+            link.pump()
+            data, _ = theirs.read(0.01)
+            if data:
+                system.receive(data)
+        assert link.client.packets.refused > 0
+        assert link.client.vehicle_id == 1
+    theirs.close()

@@ -1,0 +1,193 @@
+"""Who may order FOLLOW, and what takes it back."""
+
+import errno
+import pty
+import signal
+import socket
+import termios
+from dataclasses import dataclass, field, replace
+
+import pytest
+
+from follow.flight.live_flight import unwaived
+from follow.flight.preflight import Finding, Verdict
+from follow.flight.service import Service
+from follow.messages import HOVER, Decision, Estimate, Order, Tick, VehicleState
+from follow.operator.authority import Keys, Operator, signals
+
+CENTRED = (1500, 1500, 1000, 1500)  # a throttle rests at its lower end
+
+
+@dataclass
+class Ears:
+    rc_channels: tuple[int, ...] = ()
+    rc_t_s: float = 0.0
+    steering: dict[tuple[int, int], float] = field(default_factory=dict)
+
+
+@dataclass
+class Desk:
+    """An operator's side whose vehicle is in whatever mode the test says."""
+
+    operator: Operator
+    lines: list[str]
+    t_s: float = 0.0
+
+    def be(self, mode: str) -> Order | None:
+        """One round in a mode; the order given in it."""
+        self.t_s += 0.1
+        state = VehicleState(self.t_s, mode="OFFBOARD")
+        nowhere = Estimate(self.t_s, 0.0, 0.0, 1.0, 1.0)
+        self.operator.see(Tick(None, None, state, nowhere, HOVER, Decision(None, mode)))
+        if isinstance(self.operator.heard, Ears):
+            self.operator.heard.rc_t_s = self.t_s
+        return self.operator()
+
+
+def desk(**options) -> Desk:
+    lines: list[str] = []
+    return Desk(Operator(lines.append, **options), lines)
+
+
+def test_nothing_is_ordered_that_nobody_asked_for():
+    d = desk(heard=Ears(CENTRED))
+    assert [d.be(mode) for mode in ("observe", "ready", "engage", "follow", "ended")] == [None] * 5
+
+
+def test_follow_on_the_command_line_is_ordered_once_and_only_when_ready():
+    d = desk(at_once=True)
+    assert [d.be(mode) for mode in ("observe", "ready", "ready", "ended", "observe", "ready")] == [
+        None,
+        Order.FOLLOW,
+        *(None,) * 4,
+    ]
+
+
+def test_a_red_check_or_another_sender_refuses_the_order_and_says_so():
+    d = desk(at_once=True, red=("GUID_TIMEOUT is red",))
+    assert d.be("ready") is None
+    assert "GUID_TIMEOUT is red" in d.lines[-1]
+    ears = Ears(CENTRED, steering={(255, 190): 0.0})
+    d = desk(heard=ears)
+    d.operator.order(Order.FOLLOW)
+    assert d.be("ready") is None
+    assert "system 255 component 190" in d.lines[-1]
+
+
+def test_a_switch_orders_by_its_change_and_not_by_where_it_stands():
+    ears = Ears((*CENTRED, 1900))
+    d = desk(heard=ears, channel=5)
+    assert d.be("ready") is None
+    ears.rc_channels = (*CENTRED, 1500)
+    assert d.be("ready") is None
+    ears.rc_channels = (*CENTRED, 1100)
+    assert d.be("ready") is Order.OBSERVE
+    ears.rc_channels = (*CENTRED, 1900)
+    assert d.be("ready") is Order.FOLLOW
+    assert d.be("engage") is None
+
+
+@pytest.mark.parametrize("stick", range(4))
+def test_a_stick_that_leaves_its_place_takes_control_back(stick):
+    ears = Ears(CENTRED)
+    d = desk(heard=ears)
+    assert d.be("follow") is None
+    sticks = list(CENTRED)
+    sticks[stick] += 140
+    ears.rc_channels = tuple(sticks)
+    assert d.be("follow") is None
+    sticks[stick] += 40
+    ears.rc_channels = tuple(sticks)
+    assert d.be("follow") is Order.OBSERVE
+
+
+def test_another_sender_while_following_takes_control_back():
+    ears = Ears()
+    d = desk(heard=ears)
+    assert d.be("follow") is None
+    ears.steering[1, 195] = d.t_s
+    assert d.be("follow") is Order.OBSERVE
+
+
+def test_signals_order_and_leave_and_the_second_leave_does_not_wait():
+    d = desk()
+    with signals(d.operator):
+        signal.raise_signal(signal.SIGUSR1)
+        assert d.be("ready") is Order.FOLLOW
+        signal.raise_signal(signal.SIGTERM)
+        assert d.operator.leaving == "SIGTERM"
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+
+
+def test_a_waiver_must_name_a_check_and_lets_only_that_one_pass():
+    red = [Finding(name, Verdict.RED, "bad", "mend it") for name in ("disk", "signing")]
+    lines: list[str] = []
+    assert unwaived([*red, Finding("link", Verdict.OK, "fine")], ["disk"], lines.append) == ("signing is red",)
+    assert len(lines) == 2
+    assert lines[0].endswith("(waived)")
+    with pytest.raises(ValueError, match="disc"):
+        unwaived(red, ["disc"], lines.append)
+
+
+def test_the_watchdog_is_fed_by_rounds_and_never_blocks(tmp_path):
+    address = str(tmp_path / "notify")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.bind(address)
+        service = Service(address)
+        service.ready()
+        for t_s in (1.0, 1.1, 1.6, 1.7, 0.3):
+            service.alive(t_s, "follow")
+        said = [manager.recv(100) for _ in range(4)]
+    service.alive(9.0, "follow")
+    service.close()
+    assert said[0] == b"READY=1"
+    assert all(text.startswith(b"WATCHDOG=1") for text in said[1:])
+
+
+def test_a_mode_is_said_once_with_its_reasons():
+    d = desk()
+    tick = Tick(
+        None, None, VehicleState(1.0), Estimate(1.0, 0.0, 0.0, 1.0, 1.0), HOVER, Decision(None, "brake", ("old",))
+    )
+    d.operator.see(tick)
+    d.operator.see(replace(tick))
+    assert d.lines == ["1.0 s: brake (old), vehicle in no mode"]
+
+
+def test_a_stick_held_off_its_place_is_felt_through_a_gap_of_the_remote():
+    ears = Ears(CENTRED)
+    d = desk(heard=ears)
+    assert d.be("follow") is None
+    ears.rc_channels = (0, 0, 0, 0)  # not received
+    assert d.be("follow") is None
+    ears.rc_channels = (1900, *CENTRED[1:])
+    assert d.be("follow") is Order.OBSERVE
+
+
+def test_a_terminal_that_goes_twice_leaves_once():
+    d = desk()
+    with signals(d.operator):
+        signal.raise_signal(signal.SIGHUP)
+        signal.raise_signal(signal.SIGHUP)
+        assert d.operator.leaving == "SIGHUP"
+
+
+def test_a_terminal_that_is_gone_is_no_error(monkeypatch):
+    def gone(*_what: object) -> bytes:
+        raise OSError(errno.EIO, "Input/output error")
+
+    def hung_up(*_what: object) -> None:
+        raise termios.error(errno.EIO, "Input/output error")
+
+    ours, theirs = pty.openpty()
+    with open(ours, "wb", buffering=0) as person, open(theirs) as terminal:
+        monkeypatch.setattr("sys.stdin", terminal)
+        d = desk()
+        with Keys() as keys:
+            person.write(b"f")
+            monkeypatch.setattr("os.read", gone)
+            monkeypatch.setattr("termios.tcsetattr", hung_up)
+            keys.read_into(d.operator)
+            keys.read_into(d.operator)
+        assert not d.operator.waiting

@@ -1,0 +1,183 @@
+"""The recorder: complete rows, bounded pictures, and a flight that goes on whatever the disk does."""
+
+import csv
+import json
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from follow.messages import NEVER, Decision, Estimate, Frame, Setpoint, Tick, VehicleState
+from follow.recording.recorder import RecordConfig, Recorder, set_aside
+from follow.recording.rows import COLUMNS, row
+from follow.recording.summary import Summary
+from racf.box import Box
+from racf.track import Track
+
+IMAGE = np.random.default_rng(0).integers(0, 256, (36, 64, 3), dtype=np.uint8)
+
+
+def tick(n: int, *, found: bool = True, mode: str = "follow", ms: float = 4.0) -> Tick:
+    t_s = n / 30
+    mask = np.ones((6, 8), np.uint8) if n % 3 == 0 else None
+    track = Track(
+        Box(10 + n, 8, 12, 14),
+        Box(0, 0, 40, 30),
+        psr=20.0,
+        apce=50.0,
+        confidence=0.9,
+        found=found,
+        response=np.ones((5, 5), np.float32),
+        mask=mask,
+        mask_box=Box(8, 6, 16, 18),
+    )
+    estimate = Estimate(t_s, 0.1, 0.5, 12.0, 1.0, seen_t_s=t_s)
+    sent = Setpoint(1.0, 0.0, -0.1, 0.2)
+    notes = ("frame is 0.30 s old, so", 'a "quoted" note') if n == 4 else ()
+    stage_ms = {"tracker": ms, "control": 0.5, "send": 0.1}
+    return Tick(Frame(IMAGE, t_s, n), track, VehicleState(t_s), estimate, sent, Decision(sent, mode, notes), stage_ms)
+
+
+def silent(text: str) -> None:
+    raise AssertionError(text)
+
+
+def test_every_tick_is_a_row_that_any_reader_of_csv_reads_back(tmp_path):
+    with Recorder(tmp_path, RecordConfig(), silent, waits=True) as recorder:
+        for n in range(20):
+            recorder.tick(tick(n))
+    with (tmp_path / "ticks.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [int(r["tick"]) for r in rows] == list(range(20))
+    assert all(None not in r and tuple(r) == COLUMNS for r in rows)
+    assert float(rows[7]["track_x_px"]) == 17
+    assert rows[4]["notes"] == 'frame is 0.30 s old, so; a "quoted" note'
+
+
+def test_column_names_carry_their_units():
+    bare = {"tick", "frame", "mode", "notes", "track_found", "track_refined", "track_confidence", "track_psr"}
+    bare |= {"track_apce", "vehicle_mode", "vehicle_in_control", "vehicle_armed"}
+    for name in set(COLUMNS) - bare:
+        assert name.endswith(("_s", "_m", "_rad", "_px")), name
+
+
+def test_the_same_ticks_give_the_same_bytes_however_long_they_took():
+    assert row(3, tick(3, ms=1.0)) == row(3, tick(3, ms=99.0))
+
+
+def test_what_never_happened_is_empty():
+    assert str(NEVER) not in row(0, tick(0))
+
+
+def test_rerun_verifies_the_recording(tmp_path):
+    with Recorder(tmp_path, RecordConfig(), silent, waits=True, about="# A flight") as recorder:
+        for n in range(20):
+            recorder.tick(tick(n, found=n != 5), Box(9, 8, 12, 14) if n % 2 else None)
+        recorder.message("a line for a person")
+        recorder.settings("[limits]\n")
+    rerun = Path(sys.executable).with_name("rerun")
+    subprocess.run([rerun, "rrd", "verify", tmp_path / "flight.rrd"], check=True, capture_output=True, timeout=60)
+    shown = subprocess.run(
+        [rerun, "rrd", "print", tmp_path / "flight.rrd"], check=True, capture_output=True, text=True, timeout=60
+    ).stdout
+    entities = (
+        "/picture",
+        "/picture/target",
+        "/picture/search",
+        "/picture/truth",
+        "/picture/mask",
+        "/response",
+        "/mask",
+    )
+    entities += ("/track/confidence", "/wish/velocity", "/setpoint/velocity", "/mode", "/messages", "/settings")
+    entities += ("/timings/tracker",)
+    for entity in entities:
+        assert f"{entity} " in shown or f"{entity}\n" in shown or f"{entity}'" in shown, entity
+
+
+def test_a_slow_writer_costs_pictures_and_no_row(tmp_path, monkeypatch):
+    from follow.recording import rerun_log as explain  # noqa: PLC0415 - Rerun only where it is needed
+
+    gate = threading.Event()
+    monkeypatch.setattr(explain.Explanation, "tick", lambda _self, _scene: gate.wait(30))
+    recorder = Recorder(tmp_path, RecordConfig(queue=4), silent, waits=False)
+    for n in range(50):
+        recorder.tick(tick(n))
+    gate.set()
+    summary = recorder.close()
+    assert 45 <= summary["recording_dropped"] <= 46
+    assert len((tmp_path / "ticks.csv").read_text().splitlines()) == 51
+
+
+def test_a_recorder_that_waits_drops_nothing(tmp_path):
+    recorder = Recorder(tmp_path, RecordConfig(queue=1), silent, waits=True)
+    for n in range(30):
+        recorder.tick(tick(n))
+    assert "recording_dropped" not in recorder.close()
+
+
+def test_a_full_disk_is_one_line_for_each_file_and_the_flight_goes_on(tmp_path):
+    for name in ("ticks.csv", "summary.json"):
+        (tmp_path / name).symlink_to("/dev/full")
+    lines: list[str] = []
+    with Recorder(tmp_path, RecordConfig(pictures=False), lines.append, waits=True) as recorder:
+        for n in range(20):
+            recorder.tick(tick(n))
+    assert len(lines) == 2
+    assert all("No space left" in line and "\n" not in line for line in lines)
+
+
+def test_a_recording_that_cannot_be_written_is_one_line_and_the_rows_are_whole(tmp_path, monkeypatch):
+    from follow.recording import rerun_log as explain  # noqa: PLC0415
+
+    def fail(_self):
+        raise OSError("flight.rrd is no longer written: disk full")
+
+    monkeypatch.setattr(explain.Explanation, "flush", fail)
+    lines: list[str] = []
+    with Recorder(tmp_path, RecordConfig(), lines.append, waits=True) as recorder:
+        for n in range(40):
+            recorder.tick(tick(n))
+    assert lines == ["flight.rrd is no longer written: disk full"]
+    assert len((tmp_path / "ticks.csv").read_text().splitlines()) == 41
+
+
+def test_a_folder_that_cannot_be_made_is_refused_before_the_flight(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OSError, match="file"):
+        Recorder(tmp_path / "file" / "out", RecordConfig(), silent, waits=True)
+
+
+def test_summary_times_add_up():
+    summary = Summary()
+    for n in range(61):
+        summary.add(tick(n, found=not 10 <= n < 25, mode="coast" if 10 <= n < 25 else "follow"))
+    figures = summary.figures()
+    assert figures["seconds"] == pytest.approx(2.0)
+    assert figures["lost_s"] == pytest.approx(0.5)
+    assert figures["modes"] == pytest.approx({"follow": 1.5, "coast": 0.5})
+    assert figures["frames"] == figures["setpoints"] == 61
+    assert figures["fps_tracker"] == pytest.approx(250.0)
+    assert figures["tracker_ms"] == {"p50": 4.0, "p99": 4.0, "max": 4.0}
+
+
+def test_the_summary_on_disk_is_the_summary_returned(tmp_path):
+    recorder = Recorder(tmp_path, RecordConfig(pictures=False), silent, waits=True)
+    recorder.tick(tick(0))
+    returned = recorder.close({"auc": 50.0})
+    assert json.loads((tmp_path / "summary.json").read_text()) == returned
+    assert returned["auc"] == 50.0
+
+
+def test_an_earlier_flight_is_set_aside_and_never_written_over(tmp_path):
+    assert set_aside(tmp_path) is None
+    for n in (1, 2):
+        (tmp_path / "ticks.csv").write_text(f"flight {n}")
+        (tmp_path / "camera.png").write_text("no flight's")
+        assert set_aside(tmp_path) == tmp_path / f"earlier-{n}"
+    assert [(tmp_path / f"earlier-{n}/ticks.csv").read_text() for n in (1, 2)] == ["flight 1", "flight 2"]
+    assert not (tmp_path / "ticks.csv").exists()
+    assert (tmp_path / "camera.png").exists()

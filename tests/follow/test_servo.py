@@ -1,0 +1,158 @@
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from follow.control.servo import Servo, ServoConfig, ServoMode
+from follow.messages import NEVER, Estimate, Setpoint, VehicleState
+
+DOWN = math.radians(30)
+CONFIG = ServoConfig()
+STATE = VehicleState(t_s=0.0, yaw_rad=0.4)
+
+
+def estimate(azimuth=0.0, depression=DOWN, range_m=CONFIG.standoff_m, **more):
+    return Estimate(0.0, azimuth, depression, range_m, 0.5, seen_t_s=0.0, **more)
+
+
+def wish(e, state=STATE):
+    return Servo(DOWN).update(e, state)
+
+
+@given(st.floats(0.01, 1.0))
+def test_a_target_right_of_centre_turns_right_and_its_mirror_left(azimuth):
+    right, left = wish(estimate(azimuth)), wish(estimate(-azimuth))
+    assert right.yaw_rate_rad_s > 0
+    assert right.yaw_rate_rad_s == pytest.approx(-left.yaw_rate_rad_s)
+
+
+@given(st.floats(0.05, 0.5))
+def test_a_target_low_in_the_picture_descends_and_a_high_one_climbs(angle):
+    assert wish(estimate(depression=DOWN + angle)).down_m_s > 0
+    assert wish(estimate(depression=DOWN - angle)).down_m_s < 0
+
+
+@given(st.floats(0.5, 10))
+def test_a_target_too_far_is_approached_and_one_too_near_is_left(metres):
+    assert wish(estimate(range_m=CONFIG.standoff_m + metres)).forward_m_s > 0
+    assert wish(estimate(range_m=CONFIG.standoff_m - metres)).forward_m_s < 0
+
+
+def test_a_target_where_it_is_wanted_asks_for_nothing():
+    still = wish(estimate())
+    assert (still.forward_m_s, still.right_m_s, still.down_m_s, still.yaw_rate_rad_s) == pytest.approx((0, 0, 0, 0))
+
+
+@given(st.floats(-3, 3))
+def test_a_target_that_runs_away_is_followed_at_its_speed(yaw):
+    ran = estimate(north_m_s=3 * math.cos(yaw), east_m_s=3 * math.sin(yaw))
+    assert wish(ran, VehicleState(t_s=0.0, yaw_rad=yaw)).forward_m_s == pytest.approx(3.0)
+
+
+def test_a_target_crossing_to_the_right_turns_right_at_the_rate_of_its_bearing():
+    crossing = estimate(north_m_s=-2 * math.sin(0.4), east_m_s=2 * math.cos(0.4))
+    assert wish(crossing).yaw_rate_rad_s == pytest.approx(2 / CONFIG.standoff_m)
+
+
+def watched_for(seconds, **state):
+    """A servo that has seen a target 3 m too far for so long, and its wish now."""
+    servo = Servo(DOWN)
+    for n in range(round(seconds / 0.05)):
+        t_s = 0.05 * n
+        seen = Estimate(t_s, 0.0, DOWN, CONFIG.standoff_m + 3.0, 0.5, seen_t_s=t_s)
+        out = servo.update(seen, VehicleState(t_s=t_s, **state))
+    return out
+
+
+def test_how_long_it_waited_for_the_order_is_not_seen_in_the_wish():
+    waited, came = watched_for(300.0, in_control=False), watched_for(0.1, in_control=False)
+    assert waited.forward_m_s == pytest.approx(came.forward_m_s)
+
+
+def test_a_wish_that_is_not_flown_does_not_grow_without_end():
+    held = watched_for(300.0, in_control=True).forward_m_s  # as in HOLD, or at the fence
+    assert held <= CONFIG.approach.kp * 3.0 + 0.1 * CONFIG.approach.limit
+    flown = watched_for(300.0, in_control=True, north_m_s=CONFIG.approach.kp * 3.0 + 0.5).forward_m_s
+    assert flown > CONFIG.approach.kp * 3.0 + 0.8  # obeyed, and yet no nearer: that is what the integral is for
+
+
+@pytest.mark.parametrize("mode", list(ServoMode))
+def test_a_target_about_its_place_for_long_leaves_nothing_behind(mode):
+    servo, turned = Servo(math.radians(60), ServoConfig(mode=mode, orbit_m_s=0.0)), 0.0
+    range_m = 10.0 / math.tan(math.radians(60)) if mode is ServoMode.TOP_DOWN else CONFIG.standoff_m
+    depression = math.radians(60)
+    for n in range(6000):
+        t_s, turned = 0.05 * n, turned + 2.4  # a bit off to all sides in turn
+        off = Estimate(t_s, 0.02 * math.cos(turned), depression, range_m + 0.3 * math.sin(turned), 0.5, seen_t_s=t_s)
+        out = servo.update(off, VehicleState(t_s=t_s, in_control=True))
+    calm = servo.update(
+        Estimate(t_s, 0.0, depression, range_m, 0.5, seen_t_s=t_s), VehicleState(t_s=t_s, in_control=True)
+    )
+    assert math.hypot(calm.forward_m_s, calm.right_m_s) < 0.02, out
+
+
+def test_a_target_never_seen_asks_for_nothing():
+    assert Servo(DOWN).update(Estimate(0.0, 1.0, 0.0, 50.0, 1.0, seen_t_s=NEVER), STATE) == Setpoint()
+
+
+def fly(config, target, seconds, start=(0.0, 0.0, 0.0)):
+    """A vehicle that does at once what is wished and knows where the target is: (north, east, yaw) at the end.
+
+    `target` is a function of time to (north, east).
+    """
+    servo, dt = Servo(DOWN, config), 0.05
+    north, east, yaw, height = *start, 7.0
+    for i in range(round(seconds / dt)):
+        t_s = i * dt
+        (n, e), (n1, e1) = target(t_s), target(t_s + 0.01)
+        velocity = (n1 - n) / 0.01, (e1 - e) / 0.01
+        away = math.hypot(n - north, e - east)
+        azimuth = math.remainder(math.atan2(e - east, n - north) - yaw, math.tau)
+        seen = Estimate(t_s, azimuth, math.atan2(height, away), away, 0.1, *velocity, seen_t_s=t_s)
+        w = servo.update(seen, VehicleState(t_s, yaw_rad=yaw, down_m=-height))
+        north += (w.forward_m_s * math.cos(yaw) - w.right_m_s * math.sin(yaw)) * dt
+        east += (w.forward_m_s * math.sin(yaw) + w.right_m_s * math.cos(yaw)) * dt
+        yaw += w.yaw_rate_rad_s * dt
+        height -= w.down_m_s * dt
+    return north, east, yaw
+
+
+def walk(t_s):
+    return 12.0 + 1.4 * t_s, 3.0
+
+
+def test_a_chase_ends_at_the_stand_off_behind_the_target():
+    north, east, yaw = fly(ServoConfig(), walk, 60)
+    n, e = walk(60)
+    assert math.dist((north, east), (n, e)) == pytest.approx(12.0, abs=0.3)
+    assert math.atan2(e - east, n - north) == pytest.approx(yaw, abs=0.02)
+
+
+def test_centre_stays_in_place_and_turns():
+    north, east, yaw = fly(ServoConfig(mode=ServoMode.CENTRE), walk, 20)
+    assert (north, east) == (0.0, 0.0)
+    assert yaw == pytest.approx(math.atan2(3.0, 12.0 + 28.0), abs=0.02)
+
+
+def test_an_orbit_keeps_its_distance_and_goes_around():
+    config = ServoConfig(mode=ServoMode.ORBIT, orbit_m_s=2.0)
+    half_turn_s = math.pi * 12.0 / 2.0
+    north, east, _ = fly(config, lambda t: (12.0, 0.0), half_turn_s)
+    assert math.dist((north, east), (12.0, 0.0)) == pytest.approx(12.0, abs=0.5)
+    assert north == pytest.approx(24.0, abs=1.0)
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_profile_ends_abeam_of_the_course_on_the_nearer_side(side):
+    north, east, _ = fly(ServoConfig(mode=ServoMode.PROFILE), lambda t: (12.0 + t, -side * 3.0), 60)
+    n, e = 12.0 + 60, -side * 3.0
+    assert (east - e) * side == pytest.approx(12.0, abs=0.5)
+    assert north == pytest.approx(n, abs=1.0)
+
+
+def test_top_down_flies_so_that_the_optical_axis_meets_the_target_and_does_not_turn():
+    north, east, yaw = fly(ServoConfig(mode=ServoMode.TOP_DOWN), walk, 30)
+    n, e = walk(30)
+    assert yaw == 0.0
+    assert (n - north, e - east) == pytest.approx((7.0 / math.tan(DOWN), 0.0), abs=0.3)

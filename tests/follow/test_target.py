@@ -1,0 +1,215 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from follow.control.pose_history import Motion
+from follow.control.target import Target, TargetConfig, predicted
+from follow.geometry import Intrinsics, camera_to_ned, project
+from follow.messages import NEVER, VehicleState
+from racf.box import Box
+from racf.track import Track
+
+CAMERA = Intrinsics.from_fov(640, 360, math.radians(80))
+DOWN = math.radians(30)
+DT = 1 / 30
+SIZE = 1.2  # metres, square
+
+
+def hovering(t_s, **changes):
+    state = VehicleState(t_s=t_s, attitude_t_s=t_s, position_t_s=t_s, heartbeat_t_s=t_s, down_m=-8.0)
+    return replace(state, **changes)
+
+
+def box_of(place, state, size=SIZE):
+    """What a perfect tracker says of a target of that size standing at `place` (north, east)."""
+    rotation = camera_to_ned(DOWN, state.roll_rad, state.pitch_rad, state.yaw_rad)
+    centre = np.array([[place[0], place[1], -size / 2]])
+    pixels, _ = project(CAMERA, rotation, (state.north_m, state.east_m, state.down_m), centre)
+    distance = math.dist(centre[0], (state.north_m, state.east_m, state.down_m))
+    side = size * CAMERA.fx / distance
+    return Box.around(*pixels[0], side, side)
+
+
+def seen(box, found=True):
+    return Track(box, box, psr=20.0, apce=50.0, confidence=0.9, found=found)
+
+
+def watch(target, path, states, delay=0):
+    """Feed the target pictures `delay` rounds old; the last estimate."""
+    for i, state in enumerate(states):
+        old = i - delay
+        track = seen(box_of(path(old * DT), states[old])) if old >= 0 else None
+        estimate = target.update(track, state, old * DT)
+    return estimate
+
+
+def test_a_standing_target_is_found_where_it_stands():
+    target = Target(CAMERA, DOWN)
+    states = [hovering(i * DT, yaw_rad=0.3) for i in range(60)]
+    estimate = watch(target, lambda t: (11.0, 4.0), states)
+    assert estimate.range_m == pytest.approx(math.hypot(11, 4), rel=0.02)
+    assert estimate.azimuth_rad == pytest.approx(math.atan2(4, 11) - 0.3, abs=0.01)
+    assert estimate.north_m_s == pytest.approx(0, abs=0.1)
+
+
+def test_roll_and_pitch_do_not_move_the_estimate():
+    rng = np.random.default_rng(2)
+    target = Target(CAMERA, DOWN)
+    states = [hovering(i * DT, roll_rad=r, pitch_rad=p) for i, (r, p) in enumerate(rng.uniform(-0.15, 0.15, (90, 2)))]
+    estimate = watch(target, lambda t: (12.0, 1.0), states)
+    assert estimate.range_m == pytest.approx(math.hypot(12, 1), rel=0.02)
+    assert math.hypot(estimate.north_m_s, estimate.east_m_s) < 0.15
+
+
+def test_a_walkers_velocity_is_learnt():
+    target = Target(CAMERA, DOWN)
+    estimate = watch(target, lambda t: (10 + 1.0 * t, 1.5 * t), [hovering(i * DT) for i in range(90)])
+    assert (estimate.north_m_s, estimate.east_m_s) == pytest.approx((1.0, 1.5), abs=0.15)
+
+
+@pytest.mark.parametrize("size", [0.7, 3.0])
+def test_the_true_size_is_learnt_from_flat_ground(size):
+    target = Target(CAMERA, DOWN, TargetConfig(size_m=1.2))
+    for i in range(150):
+        state = hovering(i * DT, down_m=-10.0)
+        target.update(seen(box_of((12.0, 0.0), state, size)), state, i * DT)
+    assert target.filter.size_m == pytest.approx(size, rel=0.1)
+
+
+def test_delay_compensation_removes_the_lag_of_old_pictures():
+    def path(t):
+        return 12.0, 2.0 * t
+
+    states = [hovering(i * DT, yaw_rad=-0.2 * i * DT) for i in range(120)]
+    t_end = 119 * DT
+    truth = math.atan2(2.0 * t_end, 12.0) - states[-1].yaw_rad
+    errors = {}
+    for compensate in (True, False):
+        target = Target(CAMERA, DOWN, TargetConfig(compensate=compensate))
+        errors[compensate] = abs(watch(target, path, states, delay=9).azimuth_rad - truth)
+    assert errors[True] < 0.02 < errors[False] / 2
+
+
+def test_a_track_that_was_not_found_is_not_believed():
+    target = Target(CAMERA, DOWN)
+    state = hovering(0.0)
+    before = target.update(seen(box_of((12.0, 0.0), state)), state, 0.0)
+    later = target.update(seen(box_of((30.0, 20.0), state), found=False), hovering(DT), DT)
+    assert later.azimuth_rad == pytest.approx(before.azimuth_rad)
+    assert later.seen_t_s == 0.0
+
+
+def test_the_prior_box_is_where_the_target_will_appear():
+    target = Target(CAMERA, DOWN)
+    states = [hovering(i * DT, yaw_rad=0.1 * i * DT) for i in range(90)]
+
+    def path(t):
+        return 12.0 + t, 0.5 * t
+
+    watch(target, path, states)
+    t_s = 90 * DT
+    state = hovering(t_s, yaw_rad=0.1 * t_s)
+    prior = target.predict(state, t_s)
+    assert prior is not None
+    assert prior.iou(box_of(path(t_s), state)) > 0.85
+
+
+def test_before_the_first_box_there_is_no_prior_and_nothing_seen():
+    target = Target(CAMERA, DOWN)
+    assert target.predict(hovering(0.0), 0.0) is None
+    assert target.update(None, hovering(0.0), NEVER).seen_t_s == NEVER
+
+
+def test_uncertainty_grows_while_the_target_is_unseen():
+    target = Target(CAMERA, DOWN)
+    near = watch(target, lambda t: (12.0, 0.0), [hovering(i * DT) for i in range(30)])
+    later = target.update(None, hovering(4.0), 29 * DT)
+    assert later.range_std_m > 2 * near.range_std_m
+
+
+def test_a_pose_between_two_messages_is_interpolated_and_yaw_takes_the_short_way():
+    motion = Motion()
+    motion.add(hovering(0.0, yaw_rad=3.1, north_m=1.0))
+    motion.add(hovering(1.0, yaw_rad=-3.1, north_m=2.0))
+    pose = motion.at(0.5)
+    assert abs(pose.yaw_rad) == pytest.approx(math.pi, abs=1e-6)
+    assert pose.north_m == pytest.approx(1.5)
+
+
+def test_beyond_the_newest_message_the_pose_moves_on_for_a_moment_only():
+    motion = Motion()
+    motion.add(hovering(0.0, north_m_s=2.0, yaw_rate_rad_s=1.0))
+    assert motion.at(0.1).north_m == pytest.approx(0.2)
+    assert motion.at(0.1).yaw_rad == pytest.approx(0.1)
+    assert motion.at(99.0) == replace(motion.at(0.3), t_s=99.0)
+
+
+def test_after_a_loss_one_box_is_not_enough():
+    target = Target(CAMERA, DOWN)
+    watch(target, lambda t: (12.0, 0.0), [hovering(i * DT) for i in range(60)])
+    seen_at = []
+    for i in range(100, 106):
+        state = hovering(i * DT)
+        seen_at.append(target.update(seen(box_of((12.0, 0.0), state)), state, i * DT).seen_t_s)
+    assert seen_at[0] == seen_at[1] == 59 * DT
+    assert seen_at[2] == 102 * DT
+
+
+@pytest.mark.parametrize("change", ["elsewhere", "much larger", "much smaller"])
+def test_a_box_where_the_target_cannot_be_is_not_believed(change):
+    target = Target(CAMERA, DOWN)
+    states = [hovering(i * DT) for i in range(61)]
+    watch(target, lambda t: (12.0, 0.0), states[:60])
+    true = box_of((12.0, 0.0), states[60])
+    wrong = {"elsewhere": true.moved(200, 0), "much larger": true.scaled(2.5), "much smaller": true.scaled(0.4)}
+    assert target.update(seen(wrong[change]), states[60], 60 * DT).seen_t_s == 59 * DT
+
+
+def test_an_unseen_target_walks_on_slower_and_slower_and_not_for_ever():
+    target = Target(CAMERA, DOWN)
+    watch(target, lambda t: (12.0 + 1.5 * t, 0.0), [hovering(i * DT) for i in range(90)])
+    at = [target.update(None, hovering(3.0 + s), 89 * DT).range_m for s in (0.0, 2.0, 60.0, 120.0)]
+    assert at[1] - at[0] == pytest.approx(2.0 * 1.5, rel=0.15)
+    assert at[3] - at[0] < 1.5 * 13.0
+    assert at[3] == pytest.approx(at[2], abs=0.1)
+
+
+def test_after_a_loss_a_blurred_box_is_not_believed():
+    target = Target(CAMERA, DOWN)
+    watch(target, lambda t: (12.0, 0.0), [hovering(i * DT) for i in range(60)])
+    for i in range(100, 130):
+        state = hovering(i * DT)
+        estimate = target.update(replace(seen(box_of((12.0, 0.0), state)), psr=8.0), state, i * DT)
+    assert estimate.seen_t_s == 59 * DT
+
+
+def test_a_first_response_sharper_than_all_that_follow_does_not_make_the_rest_look_lost():
+    target = Target(CAMERA, DOWN)
+    for i, psr in enumerate([0.0, 20.0, *[9.0] * 40]):  # the box given at the start has no response
+        state = hovering(i * DT)
+        estimate = target.update(replace(seen(box_of((12.0, 0.0), state)), psr=psr), state, i * DT)
+        assert estimate.seen_t_s == i * DT
+    state = hovering(42 * DT)
+    blurred = replace(seen(box_of((12.0, 0.0), state)), psr=4.0)
+    assert target.update(blurred, state, 42 * DT).seen_t_s == 41 * DT
+
+
+def test_uncertainty_after_a_wait_does_not_depend_on_how_often_one_looked():
+    once, often = Target(CAMERA, DOWN), Target(CAMERA, DOWN)
+    for target in (once, often):
+        watch(target, lambda t: (12.0, 0.0), [hovering(i * DT) for i in range(30)])
+    f, step = once.filter, 1 / 3
+    for i in range(1, 7):
+        f = predicted(f, once.filter.t_s + i * step, 0.5)
+    np.testing.assert_allclose(f.covariance, predicted(often.filter, f.t_s, 0.5).covariance, rtol=1e-9)
+
+
+def test_a_sharp_response_is_believed_although_it_was_far_sharper_before():
+    target = Target(CAMERA, DOWN)
+    for i in range(60):
+        state = hovering(i * DT)
+        psr = 40.0 if i < 40 else 15.0
+        estimate = target.update(replace(seen(box_of((12.0, 0.0), state)), psr=psr), state, i * DT)
+    assert estimate.seen_t_s == pytest.approx(59 * DT)

@@ -1,0 +1,232 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from follow.geometry import Intrinsics
+from follow.messages import HOVER, Autopilot, Setpoint
+from racf.box import Box
+from sim.camera import CameraSettings, LiveFlight, SceneCamera, Truth
+from sim.dynamics import Motion, Vehicle
+from sim.link import PATIENCE_S, SimLink
+from sim.scenarios import SCENARIOS, build
+from sim.scene.rendering import Seen
+from sim.scene.world import GAITS, Kind, Leg, Place, route
+from sim.score import Row, score
+
+BLANK = np.zeros((360, 640, 3), np.uint8)
+NOTHING = (Seen(None, 0.0),)
+both = pytest.mark.parametrize("autopilot", list(Autopilot))
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_every_scenario_begins_with_the_target_near_the_middle(name):
+    scenario = SCENARIOS[name]
+    for autopilot in Autopilot:
+        world = replace(scenario.world(0), ground_texels=1024)
+        vehicle = Vehicle(autopilot, scenario.start(world, 0), scenario.wind)
+        camera = SceneCamera(world, SimLink(vehicle), scenario.camera_settings(autopilot))
+        _, box = camera.first()
+        assert abs(box.centre_x - 320) < 70
+        assert abs(box.centre_y - 180) < 120
+        assert box.h > 25
+
+
+def test_there_are_at_least_twelve_scenarios_over_all_targets():
+    assert len(SCENARIOS) >= 12
+    assert {s.kind for s in SCENARIOS.values()} == set(Kind)
+    assert {s.latency_s for s in SCENARIOS.values()} >= {0.0, 0.1, 0.2, 0.4}
+    assert {s.frames_per_s for s in SCENARIOS.values()} >= {10.0, 20.0, 30.0, 60.0}
+
+
+@pytest.mark.parametrize(("latency_s", "fps"), [(0.0, 30.0), (0.1, 30.0), (0.4, 20.0), (0.2, 10.0), (0.0, 60.0)])
+def test_a_picture_comes_late_by_the_latency_and_says_when_it_was_taken(latency_s, fps):
+    scenario = replace(SCENARIOS["walker"], latency_s=latency_s, frames_per_s=fps, duration_s=1.5)
+    camera, link, _ = build(scenario, 0, Autopilot.ARDUPILOT)
+    camera.scene.draw = lambda view, t_s: (BLANK, NOTHING)
+    times, rounds = [], 0
+    for frame in camera.frames():
+        rounds += 1
+        if frame is not None:
+            times.append(frame.t_s)
+            assert camera.truth(frame.index).t_s == frame.t_s
+            age = link.state().t_s - frame.t_s
+            assert latency_s - 1e-6 <= age < latency_s + 1 / 30 + 1e-6
+    assert times == pytest.approx([k / fps for k in range(len(times))])
+    assert len(times) == pytest.approx((1.5 - latency_s) * fps, abs=2)
+    assert rounds >= 1.5 * 30  # a slow camera does not slow the loop down
+
+
+def test_dropped_pictures_leave_gaps_in_number_as_they_would_on_a_wire():
+    camera, _, _ = build(replace(SCENARIOS["walker"], drop_share=0.3, duration_s=5.0), 0, Autopilot.PX4)
+    camera.scene.draw = lambda view, t_s: (BLANK, NOTHING)
+    indices = [f.index for f in camera.frames() if f is not None]
+    assert indices[0] == 0
+    assert len(indices) == pytest.approx(0.7 * 151, abs=15)
+
+
+@both
+def test_the_link_flies_the_setpoint_and_tells_it(autopilot):
+    link = SimLink(Vehicle(autopilot, Motion(down_m=-20.0)))
+    for _ in range(300):
+        link.send(Setpoint(forward_m_s=2.0))
+        link.advance(1 / 30)
+    state = link.state()
+    assert state.body_velocity_m_s()[0] == pytest.approx(2.0, abs=0.3)
+    assert state.in_control
+    assert state.mode == state.commanded_mode
+    assert state.attitude_t_s < state.t_s
+
+
+@both
+def test_when_the_stream_stops_the_vehicle_flies_on_and_then_does_what_was_measured(autopilot):
+    link = SimLink(Vehicle(autopilot, Motion(down_m=-20.0)))
+    for _ in range(240):
+        link.send(Setpoint(forward_m_s=2.0))
+        link.advance(1 / 30)
+    patience = PATIENCE_S[autopilot]
+    for _ in range(int(30 * (patience - 0.1))):
+        link.send(None)
+        link.advance(1 / 30)
+    assert link.state().body_velocity_m_s()[0] > 1.6
+    for _ in range(150):
+        link.send(None)
+        link.advance(1 / 30)
+    state = link.state()
+    assert abs(state.body_velocity_m_s()[0]) < 0.3
+    sinks = autopilot is Autopilot.PX4
+    assert state.in_control is not sinks
+    assert state.down_m_s == pytest.approx(0.6 if sinks else 0.0, abs=0.25)
+
+
+def test_leaving_the_link_ends_in_hover():
+    link = SimLink(Vehicle(Autopilot.PX4, Motion(down_m=-20.0)))
+    with link:
+        link.send(Setpoint(1.0))
+    assert link.setpoint == HOVER
+
+
+def test_a_live_flight_puts_the_scene_where_the_vehicle_is():
+    vehicle = Vehicle(Autopilot.ARDUPILOT, Motion(north_m=70.0, east_m=-30.0, down_m=-6.0, yaw_rad=2.0))
+    start = Motion(north_m=-9.0, down_m=-6.0, yaw_rad=0.1)
+    flight = LiveFlight(SimLink(vehicle), start)
+    first = flight.advance(0.0)
+    assert (first.north_m, first.east_m, first.yaw_rad) == pytest.approx((-9.0, 0.0, 0.1))
+    vehicle.motion = replace(
+        vehicle.motion, north_m=70.0 + 3 * math.cos(2.0), east_m=-30.0 + 3 * math.sin(2.0)
+    )  # 3 m along its nose
+    flight.link._told.append(vehicle.motion)
+    flight.link._told.popleft()
+    moved = flight.advance(0.0)
+    assert (moved.north_m, moved.east_m) == pytest.approx((-9.0 + 3 * math.cos(0.1), 3 * math.sin(0.1)))
+
+
+@pytest.mark.parametrize("kind", list(Kind))
+def test_an_actor_keeps_its_speed_and_its_sideways_acceleration(kind):
+    gait = GAITS[kind]
+    table = route(kind, (Leg(0, 0), Leg(100, 0), Leg(100, 100), Leg(400, 300)), 30.0).table
+    assert table[:, 3].max() <= gait.speed_m_s + 1e-9
+    turn = abs((table[1:, 2] - table[:-1, 2]) / 0.02)
+    assert (turn * table[:-1, 3]).max() <= gait.turn_m_s2 * 1.05
+    steps = ((table[1:, :2] - table[:-1, :2]) ** 2).sum(axis=1) ** 0.5
+    assert steps.sum() == pytest.approx(table[-1, 4], rel=1e-6)
+
+
+def test_an_actor_stops_where_it_is_told_for_as_long():
+    way = route(Kind.WALKER, (Leg(0, 0), Leg(7, 0, pause_s=5.0), Leg(20, 0)), 30.0)
+    still = [t / 10 for t in range(300) if way.at(t / 10).speed_m_s == 0.0 and way.at(t / 10).north_m < 15]
+    assert max(still) - min(still) == pytest.approx(5.0, abs=0.4)
+    assert way.at(min(still) + 1).north_m == pytest.approx(7.0, abs=0.2)
+
+
+CAMERA = Intrinsics.from_fov(640, 360, 1.4)
+
+
+def rows(boxes, tracked=None, sent=HOVER, others=None, visible=None, dt=0.1) -> list[Row]:
+    """A flight told by its true boxes; the tracker is right unless told otherwise."""
+    out = []
+    for k, box in enumerate(boxes):
+        motion = Motion(t_s=k * dt, down_m=-6.0)
+        seen = (Seen(box, visible[k] if visible else 1.0), *((Seen(others[k], 1.0),) if others else ()))
+        place = Place(9.0, 0.0, 0.0, 0.0, 0.0)
+        truth = Truth(k, k * dt, motion, (place,) * len(seen), seen)
+        setpoint = sent[k] if isinstance(sent, list) else sent
+        out.append(Row(k * dt, motion, setpoint, 0.0, "follow", tracked[k] if tracked else box, True, truth))
+    return out
+
+
+MIDDLE = Box.around(320, 180, 20, 50)
+ASIDE = Box.around(480, 180, 20, 50)
+LIMITS = {"speed_m_s": 5.0, "accel_m_s2": 3.0, "yaw_rate_rad_s": 1.0, "climb_m_s": 2.0, "floor_m": 2.0, "fence_m": 50.0}
+
+
+def test_a_target_in_the_middle_at_its_distance_scores_without_fault():
+    s = score(rows([MIDDLE] * 10), CAMERA, 9.0, LIMITS)
+    assert (s.in_view, s.centring_rms, s.standoff_rms_m, s.off_target_s, s.decoy_s) == (1.0, 0.0, 0.0, 0.0, 0.0)
+    assert s.violations == {}
+    assert s.reacquired is None
+
+
+def test_centring_is_the_root_mean_square_in_half_widths():
+    s = score(rows([MIDDLE, ASIDE] * 5), CAMERA, 8.0, LIMITS)
+    assert s.centring_rms == pytest.approx(0.5 / math.sqrt(2))
+    assert s.worst_offset == pytest.approx(0.5)
+    assert s.standoff_rms == pytest.approx(1 / 8)
+
+
+def test_a_target_outside_or_behind_is_not_in_view():
+    s = score(rows([MIDDLE, Box.around(700, 180, 20, 50), None, MIDDLE]), CAMERA, 9.0, LIMITS)
+    assert s.in_view == 0.5
+
+
+def test_following_the_look_alike_is_told_by_its_longest_time():
+    s = score(
+        rows([MIDDLE] * 30, tracked=[MIDDLE] * 10 + [ASIDE] * 12 + [MIDDLE] * 8, others=[ASIDE] * 30), CAMERA, 9, {}
+    )
+    assert s.decoy_s == pytest.approx(1.2)
+    assert s.off_target_s == pytest.approx(1.2)
+
+
+@pytest.mark.parametrize("back", [True, False])
+def test_reacquired_says_whether_the_box_came_back_after_hiding(back):
+    visible = [1.0] * 10 + [0.0] * 30 + [1.0] * 50
+    tracked = [MIDDLE] * 10 + [ASIDE] * 30 + [MIDDLE if back else ASIDE] * 50
+    assert score(rows([MIDDLE] * 90, tracked, visible=visible), CAMERA, 9.0, {}).reacquired is back
+
+
+def test_limits_are_checked_again_on_what_was_sent():
+    fast = [Setpoint(0.2 * k) for k in range(30)]  # 2 m/s2, at last 5.8 m/s
+    s = score(rows([MIDDLE] * 30, sent=fast), CAMERA, 9.0, LIMITS)
+    assert s.violations == {"speed_m_s": 4}
+    jump = [Setpoint(right_m_s=1.0 * (k > 4), yaw_rate_rad_s=1.5 * (k == 7)) for k in range(10)]
+    assert score(rows([MIDDLE] * 10, sent=jump), CAMERA, 9.0, LIMITS).violations == {
+        "accel_m_s2": 1,
+        "yaw_rate_rad_s": 1,
+    }
+
+
+@pytest.mark.parametrize(
+    ("name", "place"), [("fence_m", {"north_m": 60.0}), ("floor_m", {"down_m": -1.0}), ("ceiling_m", {"down_m": -30.0})]
+)
+def test_where_the_vehicle_goes_is_checked_also_after_the_last_setpoint(name, place):
+    flight = rows([MIDDLE] * 10, sent=[None] * 2 + [HOVER] * 3 + [None] * 5)
+    away = [
+        replace(row, motion=replace(row.motion, **place)) if k in (0, 7, 8, 9) else row for k, row in enumerate(flight)
+    ]
+    assert score(away, CAMERA, 9.0, LIMITS | {"ceiling_m": 20.0}).violations == {name: 3}
+
+
+def test_what_is_sent_after_a_pause_is_no_acceleration():
+    sent = [HOVER, None, Setpoint(2.0), Setpoint(2.0), Setpoint(forward_m_s=2.0, down_m_s=1.0)]
+    limits = LIMITS | {"climb_accel_m_s2": 2.0}
+    assert score(rows([MIDDLE] * 5, sent=sent), CAMERA, 9.0, limits).violations == {"climb_accel_m_s2": 1}
+
+
+def test_settings_of_a_scenario_reach_the_camera():
+    scenario = SCENARIOS["lens"]
+    settings = scenario.camera_settings(Autopilot.PX4)
+    assert isinstance(settings, CameraSettings)
+    assert settings.intrinsics.distortion == scenario.distortion
+    assert settings.down_rad > scenario.camera_settings(Autopilot.ARDUPILOT).down_rad  # it leans more at the same speed
+    assert isinstance(build(scenario, 0, Autopilot.PX4)[0], SceneCamera)

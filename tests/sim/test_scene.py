@@ -1,0 +1,227 @@
+import hashlib
+import math
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from follow.geometry import Intrinsics, camera_to_ned, project
+from follow.messages import Autopilot, Setpoint
+from sim.scenarios import SCENARIOS, build
+from sim.scene.bodies import body
+from sim.scene.drawing import View
+from sim.scene.optics import Lens, Optics, Sensor, streak
+from sim.scene.rendering import SKY, Scene, Seen
+from sim.scene.world import Actor, Kind, Leg, Look, Sun, Tree, World, route, wall
+
+CAMERA = Intrinsics.from_fov(640, 360, math.radians(80.0))
+BENT = replace(CAMERA, cx=320.0, cy=180.0, distortion=(-0.2, 0.03, 0.0, 0.0, 0.0))
+
+
+def standing(kind: Kind = Kind.WALKER, north_m: float = 0.0, heading_rad: float = 0.0, **more) -> World:
+    """A world in which someone stands still."""
+    ahead = Leg(north_m + math.cos(heading_rad), math.sin(heading_rad))
+    actor = Actor(kind, route(kind, (Leg(north_m, 0.0, pause_s=1e3), ahead), 1.0), Look((200, 40, 40)))
+    return World((actor,), seed=5, ground_texels=1024, **more)
+
+
+def view(north_m=-9.0, east_m=0.0, height_m=6.0, down_deg=30.0, roll=0.0, pitch=0.0, yaw=0.0) -> View:
+    return View(CAMERA, camera_to_ned(math.radians(down_deg), roll, pitch, yaw), np.array([north_m, east_m, -height_m]))
+
+
+def without(scene: Scene) -> Scene:
+    """The same place with nobody there."""
+    scene.world = replace(scene.world, actors=standing(north_m=500.0).actors)
+    return scene
+
+
+POSES = [{}, {"roll": 0.3}, {"pitch": -0.2, "yaw": 0.2}, {"east_m": 3.0, "yaw": -0.3, "height_m": 9.0}]
+
+
+@pytest.mark.parametrize("pose", POSES)
+def test_a_point_of_the_world_is_drawn_where_geometry_projects_it(pose):
+    v = view(**pose)
+    points = np.random.default_rng(0).uniform((5, -4, -3), (20, 4, 0), (50, 3))
+    pixels, depth = project(CAMERA, v.rotation, v.place, points)
+    mine, mine_depth = v.project(points)
+    np.testing.assert_allclose(mine, pixels, atol=1e-9)
+    np.testing.assert_allclose(mine_depth, depth, atol=1e-9)
+
+
+@pytest.mark.parametrize("pose", POSES)
+def test_the_ground_lies_where_geometry_projects_it(pose):
+    """A white disc painted into the texture appears at its projected place."""
+    v = view(**pose)
+    north, east = 3.0, 1.5
+    scene = Scene(standing(), CAMERA)
+    ground = scene.ground
+    levels = tuple(np.full_like(level, 60) for level in ground.levels)
+    for k, level in enumerate(levels):
+        cell = 0.125 * 2**k
+        before = (len(level) * cell - ground.size_m) / 2
+        place = (
+            round((east - ground.east_m + before) / cell - 0.5),
+            round((north - ground.north_m + before) / cell - 0.5),
+        )
+        cv2.circle(level, place, max(1, round(0.5 / cell)), (255, 255, 255, 0), -1)
+    scene.ground = type(ground)(levels, np.full_like(ground.detail, 128), ground.north_m, ground.east_m)
+    image = scene._ground(v)
+    rows, columns = np.nonzero(image[:, :, :3].min(axis=2) > 200)
+    expected, _ = project(CAMERA, v.rotation, v.place, [(north, east, 0.0)])
+    assert (columns.mean() + 0.5, rows.mean() + 0.5) == pytest.approx(tuple(expected[0]), abs=2.0)
+
+
+@pytest.mark.parametrize("kind", list(Kind))
+@pytest.mark.parametrize("heading", [0.0, 1.2, 3.0])
+def test_the_true_box_holds_the_body_and_nothing_more(kind, heading):
+    world = standing(kind, heading_rad=heading)
+    v = view(-20.0, height_m=9.0, down_deg=22.0)
+    scene = Scene(world, CAMERA)
+    image, (seen,) = scene.draw(v, 0.0)
+    points = body(world.actors[0], world.target(0.0), world.sun).points
+    pixels, _ = project(CAMERA, v.rotation, v.place, points)
+    box = seen.box
+    assert seen.visible == 1.0
+    low, high = pixels.min(axis=0), pixels.max(axis=0)
+    slack = 0.2 * CAMERA.fx / 20  # limbs are up to 0.2 m thick
+    assert low[0] - slack - 1 <= box.x <= low[0] + 1
+    assert low[1] - slack - 1 <= box.y <= low[1] + 1
+    assert high[0] - 1 <= box.x + box.w <= high[0] + slack + 1
+    empty = without(scene).draw(v, 0.0)[0]
+    changed = np.abs(image.astype(int) - empty)[:, :, :3].sum(axis=2) > 60
+    inside = changed[int(box.y) : int(box.y + box.h) + 1, int(box.x) : int(box.x + box.w) + 1]
+    assert inside.mean() > 0.25
+
+
+def test_a_target_twice_as_far_looks_half_as_large():
+    scene = Scene(standing(), CAMERA)
+    near = scene.draw(view(-15.0, height_m=0.9, down_deg=0.0), 0.0)[1][0].box
+    far = scene.draw(view(-30.0, height_m=0.9, down_deg=0.0), 0.0)[1][0].box
+    assert far.h == pytest.approx(near.h / 2, rel=0.05)
+
+
+def test_a_wall_between_hides_and_a_wall_behind_does_not():
+    behind = standing(blocks=wall(2.0, -4.0, 8.0, math.pi / 2, 3.0))
+    between = standing(blocks=wall(-1.0, -4.0, 8.0, math.pi / 2, 3.5))
+    assert Scene(behind, CAMERA).draw(view(), 0.0)[1][0].visible == 1.0
+    assert Scene(between, CAMERA).draw(view(), 0.0)[1][0].visible == 0.0
+
+
+def test_a_wall_hides_as_much_as_its_height_says():
+    """A camera at the height of a walker's hip sees what rises over a low wall half way, by similar triangles."""
+    scene = Scene(standing(blocks=wall(-5.0, -4.0, 8.0, math.pi / 2, 0.9)), CAMERA)
+    seen = scene.draw(view(-10.0, height_m=0.9, down_deg=0.0), 0.0)[1][0]
+    assert 0.35 < seen.visible < 0.75  # all above 0.9 m of 1.7 m, where shoulders are wider than legs
+
+
+def test_a_tree_between_hides():
+    trees = tuple(Tree(-2.0, east, 4.0, 1.9, 0) for east in (-0.6, 0.6))
+    assert Scene(standing(trees=trees), CAMERA).draw(view(), 0.0)[1][0].visible < 0.3
+
+
+def test_what_leaves_the_picture_is_not_visible():
+    turned = Scene(standing(), CAMERA).draw(view(yaw=1.2), 0.0)[1][0]
+    assert turned.visible == 0.0
+    assert turned.box is None or turned.box.x + turned.box.w < 0 or turned.box.x > CAMERA.width
+    behind = Scene(standing(), CAMERA).draw(view(north_m=9.0), 0.0)[1][0]
+    assert behind == Seen(None, 0.0)
+
+
+def test_the_sky_is_above_the_horizon():
+    image = Scene(standing(), CAMERA).draw(view(down_deg=0.0), 0.0)[0]
+    blue = image[:, :, 0]
+    assert blue[:150].mean() > 200
+    assert blue[210:].mean() < 150
+
+
+@pytest.mark.parametrize("yaw", [0.0, 2.0])
+def test_a_camera_that_looks_up_sees_nothing_but_sky(yaw):
+    image = Scene(standing(), CAMERA).draw(view(down_deg=-60.0, yaw=yaw), 0.0)[0]
+    assert np.all(image[:, :, :3] == SKY)
+
+
+def test_a_shadow_lies_on_the_side_away_from_the_sun():
+    def darker(azimuth: float) -> tuple[float, float]:
+        sun = Sun(azimuth, 0.6)
+        v = view(-12.0, height_m=8.0, down_deg=33.0)
+        scene = Scene(standing(sun=sun), CAMERA)
+        shown = scene.draw(v, 0.0)[0][:, :, :3].astype(float).sum(axis=2)
+        empty = without(scene).draw(v, 0.0)[0][:, :, :3].astype(float).sum(axis=2)
+        dark = shown < 0.75 * empty
+        return dark[:, :300].sum(), dark[:, 340:].sum()
+
+    left, right = darker(math.pi / 2)  # sun in the east, the right of a camera that looks north
+    assert left > 50 > right
+    left, right = darker(-math.pi / 2)
+    assert right > 50 > left
+
+
+def digest(name: str, seed: int, rounds: int = 5) -> str:
+    camera, link, _ = build(SCENARIOS[name], seed, Autopilot.PX4)
+    total = hashlib.sha256()
+    for k, frame in enumerate(camera.frames()):
+        link.send(Setpoint(1.0, 0.0, 0.0, 0.2))
+        if frame is not None:
+            total.update(frame.image.tobytes())
+        total.update(repr(link.state()).encode())
+        if k == rounds:
+            break
+    return total.hexdigest()
+
+
+@pytest.mark.parametrize("name", ["walker", "wind", "dusk"])
+def test_the_same_seed_gives_the_same_bytes(name):
+    assert digest(name, 3) == digest(name, 3)
+
+
+def test_another_seed_gives_another_flight():
+    assert digest("walker", 3) != digest("walker", 4)
+
+
+def test_the_first_picture_can_be_had_before_the_flight():
+    camera, _, _ = build(SCENARIOS["dusk"], 1, Autopilot.ARDUPILOT)
+    first, box = camera.first()
+    frame = next(f for f in camera.frames() if f is not None)
+    assert np.array_equal(first.image, frame.image)
+    assert camera.truth(0).box == box
+
+
+def test_a_straight_lens_changes_nothing_and_a_bent_one_moves_boxes_with_the_picture():
+    image = np.random.default_rng(0).integers(0, 256, (360, 640, 4), np.uint8)
+    assert np.array_equal(Lens(CAMERA).bend(image), image[:, :, :3])
+    bent = Lens(BENT)
+    scene = Scene(standing(), bent.ideal)
+    v = View(bent.ideal, camera_to_ned(0.3, 0.0, 0.0, 0.45), np.array([-9.0, 0.0, -6.0]))
+    drawn, (seen,) = scene.draw(v, 0.0)
+    marked = np.zeros_like(drawn)
+    b = seen.box
+    marked[round(b.y) : round(b.y + b.h), round(b.x) : round(b.x + b.w)] = 255
+    rows, columns = np.nonzero(bent.bend(marked)[:, :, 0] > 127)
+    box = bent.bend_box(seen).box
+    assert (columns.min(), rows.min()) == pytest.approx((box.x, box.y), abs=1.5)
+    assert (columns.max() + 1, rows.max() + 1) == pytest.approx((box.x + box.w, box.y + box.h), abs=1.5)
+
+
+@pytest.mark.parametrize("distortion", [(-0.2, 0.03, 0, 0, 0), (0.1, 0, 0, 0, 0), (-0.1, 0, 0.01, -0.01, 0)])
+def test_a_bent_picture_has_no_black_corners(distortion):
+    lens = Lens(replace(BENT, distortion=distortion))
+    full = np.full((lens.ideal.height, lens.ideal.width, 4), 200, np.uint8)
+    assert lens.bend(full).min() == 200
+
+
+@pytest.mark.parametrize("smear", [(6.0, 0.0), (0.0, -4.0), (3.0, 5.0)])
+def test_a_streak_keeps_brightness_and_is_as_long_as_the_motion(smear):
+    kernel = streak(smear)
+    assert kernel.sum() == pytest.approx(1.0, abs=1e-5)
+    rows, columns = np.nonzero(kernel)
+    assert np.ptp(columns) == pytest.approx(abs(smear[0]), abs=1)
+    assert np.ptp(rows) == pytest.approx(abs(smear[1]), abs=1)
+
+
+def test_noise_has_the_standard_deviation_it_is_given():
+    quiet, loud = (Optics(noise=n, shutter_s=1e-6) for n in (0.0, 6.0))
+    image = np.full((360, 640, 3), 120, np.uint8)
+    clean, noisy = (Sensor(o, 1.0, 1).expose(image, (0.0, 0.0), 0.0, 0) for o in (quiet, loud))
+    assert np.array_equal(clean, image)
+    assert (noisy.astype(float) - image).std() == pytest.approx(6.0, rel=0.05)

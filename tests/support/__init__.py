@@ -1,0 +1,1 @@
+"""Rigs and referees that several tests share."""

@@ -1,0 +1,155 @@
+"""What may be expected of a flight with a fault in it: said, bounded, judged and measured."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from follow.messages import Autopilot
+from tests.support.fault_rig import Outcome
+
+HOLD = {Autopilot.PX4: "HOLD", Autopilot.ARDUPILOT: "BRAKE"}
+ASK_TIMES = 3  # one request, repeated while it stays unanswered (MAVLink's command protocol)
+
+Judge = Callable[[Outcome, Autopilot], list[str]]
+
+
+@dataclass(frozen=True)
+class Expectation:
+    """What must happen, its bound as a person reads it, the judge, who returns what is wrong, and what was measured."""
+
+    must: str
+    bound: str
+    judge: Judge
+    measured: Callable[[Outcome], str]
+
+
+def stand(o: Outcome) -> str:
+    """How a stop reads."""
+    return f"{o.stop_s:.1f} s, {o.stop_m:.1f} m" if o.stop_s is not None else f"never stood, {o.stop_m:.1f} m"
+
+
+def silence(o: Outcome) -> str:
+    """How falling silent reads."""
+    return f"last setpoint after {max(o.silent_s, 0.0):.2f} s"
+
+
+# What may be expected.  From 3 m/s the gate's ramp takes 1.5 s and 2.6 m; a PX4 without position control then drifts.
+
+
+def stopped(o: Outcome, within_s: float, within_m: float) -> list[str]:
+    wrong = []
+    if o.stop_s is None or o.stop_s > within_s:
+        wrong.append(f"stood after {o.stop_s} s")
+    if o.stop_m > within_m:
+        wrong.append(f"flew {o.stop_m:.1f} m on")
+    return wrong
+
+
+def stops(within_s: float, within_m: float) -> Expectation:
+    """It ramps down, the stream ends, Hold or BRAKE is asked for (again only while nobody answers)."""
+
+    def judge(o: Outcome, autopilot: Autopilot) -> list[str]:
+        wrong = stopped(o, within_s, within_m)
+        if o.setpoints_at_end or o.gate_mode != "ended":
+            wrong.append(f"the gate ended in {o.gate_mode}")
+        if o.vehicle_mode != HOLD[autopilot]:
+            wrong.append(f"the vehicle ended in {o.vehicle_mode}")
+        if o.modes_asked > ASK_TIMES:
+            wrong.append(f"{o.modes_asked} modes were asked for")
+        return wrong
+
+    must = "ramps to zero, ends the stream, asks for Hold or BRAKE"
+    return Expectation(must, f"stands within {within_s:g} s, {within_m:g} m", judge, stand)
+
+
+def hovers(within_s: float, within_m: float) -> Expectation:
+    """It hovers and goes on streaming, for the target may come back."""
+
+    def judge(o: Outcome, autopilot: Autopilot) -> list[str]:
+        wrong = stopped(o, within_s, within_m)
+        if not o.setpoints_at_end:
+            wrong.append("the stream ended")
+        return wrong
+
+    must = "coasts, then hovers and searches, in control"
+    return Expectation(must, f"stands within {within_s:g} s, {within_m:g} m", judge, stand)
+
+
+def goes_on(off_m: float) -> Expectation:
+    """It follows as if nothing had happened."""
+
+    def judge(o: Outcome, autopilot: Autopilot) -> list[str]:
+        wrong = [] if o.setpoints_at_end else ["the stream ended"]
+        if not o.off_m <= off_m:
+            wrong.append(f"{o.off_m:.1f} m off the wanted distance")
+        return wrong
+
+    return Expectation(
+        "goes on following", f"distance kept within {off_m:g} m", judge, lambda o: f"{o.off_m:.1f} m off"
+    )
+
+
+def falls_silent(within_s: float, modes: tuple[str, ...] = ()) -> Expectation:
+    """Somebody else has the vehicle: not one setpoint and no mode request more."""
+
+    def judge(o: Outcome, autopilot: Autopilot) -> list[str]:
+        wrong = [] if o.silent_s <= within_s else [f"sent until {o.silent_s:.2f} s"]
+        if o.modes_asked:
+            wrong.append(f"{o.modes_asked} modes were asked for")
+        if modes and o.vehicle_mode not in modes:
+            wrong.append(f"the vehicle ended in {o.vehicle_mode}")
+        return wrong
+
+    must = "falls silent and stays so, asks for nothing"
+    return Expectation(must, f"last setpoint within {within_s:g} s", judge, silence)
+
+
+def pilot_has_it(within_s: float) -> Expectation:
+    """A stick moved: the stream ends; the vehicle is in the pilot's mode, or in Hold or BRAKE."""
+
+    def judge(o: Outcome, autopilot: Autopilot) -> list[str]:
+        wrong = [] if o.silent_s <= within_s else [f"sent until {o.silent_s:.2f} s"]
+        if o.vehicle_mode not in ("POSCTL", HOLD[autopilot]):
+            wrong.append(f"the vehicle ended in {o.vehicle_mode}")
+        return wrong
+
+    must = "falls silent; the pilot has it, or Hold or BRAKE"
+    return Expectation(must, f"last setpoint within {within_s:g} s", judge, silence)
+
+
+def lost_link(within_s: float, within_m: float) -> Expectation:
+    """Nothing can be said to the vehicle: its own failsafe stops it, and it is not taken again."""
+
+    def judge(o: Outcome, autopilot: Autopilot) -> list[str]:
+        wrong = stopped(o, within_s, within_m)
+        if o.setpoints_at_end or o.gate_mode != "ended":
+            wrong.append(f"the gate ended in {o.gate_mode}")
+        if o.vehicle_mode == "OFFBOARD":
+            wrong.append("it re-entered OFFBOARD")
+        return wrong
+
+    must = "the autopilot's failsafe stops it, and it is not taken again"
+    return Expectation(must, f"stands within {within_s:g} s, {within_m:g} m", judge, stand)
+
+
+def within(what: str, bound: str, value: Callable[[Outcome], float], holds: Callable[[float], bool]) -> Expectation:
+    """A limit of place is kept while it goes on following."""
+
+    def judge(o: Outcome, autopilot: Autopilot) -> list[str]:
+        wrong = [] if o.setpoints_at_end else ["the stream ended"]
+        if not holds(value(o)):
+            wrong.append(f"{value(o):.2f} is beyond {bound}")
+        return wrong
+
+    return Expectation(what, bound, judge, lambda o: f"{value(o):.1f}")
+
+
+def either(one: Expectation, other: Expectation) -> Expectation:
+    """Both are safe, and which it is hangs on the moment."""
+
+    def judge(o: Outcome, autopilot: Autopilot) -> list[str]:
+        return one.judge(o, autopilot) and other.judge(o, autopilot)
+
+    def measured(o: Outcome) -> str:
+        return one.measured(o) if o.stop_s is not None and not o.setpoints_at_end else other.measured(o)
+
+    return Expectation(f"{one.must}; or {other.must}", f"{one.bound}; or {other.bound}", judge, measured)

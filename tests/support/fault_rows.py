@@ -1,0 +1,382 @@
+"""The fault matrix in lockstep, as data: what is done to a flight, what must happen, within which bound."""
+
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from pymavlink.dialects.v20 import common as dialect
+
+from follow.camera import CameraError
+from follow.messages import Autopilot, Frame, Setpoint
+from follow.safety.gate import Limits
+from racf.box import Box
+from racf.track import Track
+from tests.support.fault_expectations import (
+    Expectation,
+    either,
+    falls_silent,
+    goes_on,
+    hovers,
+    lost_link,
+    pilot_has_it,
+    stops,
+    within,
+)
+from tests.support.fault_rig import Outcome, Rig, Way, outcome
+
+HEARTBEAT, ATTITUDE, POSITION = 0, 30, 32
+
+
+@dataclass(frozen=True)
+class Row:
+    """One fault.  `rig` holds what differs in the flight, `fast` marks the rows that every test run flies."""
+
+    name: str
+    inject: Callable[[Rig], None]
+    expect: Expectation
+    rig: dict[str, object] = field(default_factory=dict)
+    fast: bool = False
+
+    def fly(self, autopilot: Autopilot) -> "Result":
+        """Fly it once and judge."""
+        rig = Rig(autopilot, self.inject, **self.rig).fly()  # type: ignore[arg-type] - rows are data
+        seen = outcome(rig)
+        wrong = [] if seen.followed else ["it did not follow before the fault"]
+        return Result(self, autopilot, seen, tuple(wrong + self.expect.judge(seen, autopilot)), tuple(rig.lines))
+
+
+@dataclass(frozen=True)
+class Result:
+    """A row flown under one rule set; it passed when nothing is wrong."""
+
+    row: Row
+    autopilot: Autopilot
+    outcome: Outcome
+    wrong: tuple[str, ...]
+    lines: tuple[str, ...]
+
+
+# What may be done to a flight
+
+
+def number(packet: bytes) -> int:
+    """A MAVLink 2 packet's message id."""
+    return int.from_bytes(packet[7:10], "little")
+
+
+def without(*numbers: int) -> Way:
+    """Withhold these messages, or everything when none is named."""
+    return lambda packets: [p for p in packets if numbers and number(p) not in numbers]
+
+
+def deaf(*numbers: int) -> Callable[[Rig], None]:
+    def inject(rig: Rig) -> None:
+        rig.to_client = without(*numbers)
+
+    return inject
+
+
+def drop_for(seconds: float) -> Callable[[Rig], None]:
+    def inject(rig: Rig) -> None:
+        def way(packets: list[bytes]) -> list[bytes]:
+            return packets if rig.t_s > rig.fault_t_s + seconds else []
+
+        rig.to_client = rig.to_autopilot = way
+
+    return inject
+
+
+def hold_up_for(seconds: float) -> Callable[[Rig], None]:
+    """A network that stalls and then brings all pictures, three a round: the newest of them, with the time it shows."""
+
+    def inject(rig: Rig) -> None:
+        waiting: deque[tuple[Frame, Box]] = deque()
+        seen: list[Box] = []
+
+        def see(frame: Frame | None) -> Frame | None:
+            if frame is not None and (box := rig.true_box()) is not None:
+                waiting.append((frame, box))
+            if rig.t_s < rig.fault_t_s + seconds or not waiting:
+                return None
+            newest = [waiting.popleft() for _ in range(min(3, len(waiting)))][-1]
+            seen[:] = [newest[1]]
+            return newest[0]
+
+        rig.see = see
+        rig.track = lambda track: replace(track, box=seen[0], search=seen[0].scaled(3))
+
+    return inject
+
+
+def lose_a_third(rig: Rig) -> None:
+    def way(packets: list[bytes]) -> list[bytes]:
+        return [p for p in packets if rig.chance.random() >= 0.3]
+
+    rig.to_client = rig.to_autopilot = way
+
+
+def shuffle(rig: Rig) -> None:
+    """Every packet twice, each late by up to 60 ms, so that they overtake each other."""
+
+    def late() -> Way:
+        waiting: list[tuple[float, bytes]] = []
+
+        def way(packets: list[bytes]) -> list[bytes]:
+            waiting.extend((rig.t_s + rig.chance.uniform(0.0, 0.06), p) for p in packets for _ in range(2))
+            due = [p for t_s, p in waiting if t_s <= rig.t_s]
+            waiting[:] = [(t_s, p) for t_s, p in waiting if t_s > rig.t_s]
+            return due
+
+        return way
+
+    rig.to_client, rig.to_autopilot = late(), late()
+
+
+def garble(rig: Rig) -> None:
+    """Random datagrams and broken copies of true ones, both ways."""
+
+    def way(packets: list[bytes]) -> list[bytes]:
+        out: list[bytes] = []
+        for packet in packets:
+            broken = bytearray(packet)
+            broken[rig.chance.randrange(len(broken))] ^= 1 << rig.chance.randrange(8)
+            out += [rig.chance.randbytes(rig.chance.randrange(1, 300)), bytes(broken), packet]
+        return out
+
+    rig.to_client = rig.to_autopilot = way
+
+
+def another_vehicle(rig: Rig) -> None:
+    """A second vehicle on the link: landed, disarmed, elsewhere."""
+    mav = dialect.MAVLink(None, srcSystem=2, srcComponent=1)
+    state = dialect.MAVLink_heartbeat_message(2, 12 if rig.autopilot is Autopilot.PX4 else 3, 0, 0, 3, 3)
+
+    def way(packets: list[bytes]) -> list[bytes]:
+        ms = round(rig.t_s * 1e3)
+        attitude = dialect.MAVLink_attitude_message(ms, 1.0, 1.0, 1.0, 9.0, 9.0, 9.0)
+        place = dialect.MAVLink_local_position_ned_message(ms, 500.0, 500.0, 0.0, 30.0, 30.0, 30.0)
+        return packets + [message.pack(mav) for message in (state, attitude, place)]
+
+    rig.to_client = way
+
+
+def second_sender(rig: Rig) -> None:
+    """A ground station streams setpoints over the same link."""
+    mav = dialect.MAVLink(None, srcSystem=255, srcComponent=190)
+    numbers = 0.0, 0.0, 0.0, 2.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.5
+
+    def way(packets: list[bytes]) -> list[bytes]:
+        message = dialect.MAVLink_set_position_target_local_ned_message(0, 1, 1, 8, 0x05C7, *numbers)
+        return [*packets, message.pack(mav)]
+
+    rig.to_client = way
+
+
+def freeze(rig: Rig) -> None:
+    held: list[Frame] = []
+
+    def see(frame: Frame | None) -> Frame | None:
+        if frame is not None and not held:
+            held.append(frame)
+        return frame and replace(frame, image=held[0].image)
+
+    rig.see = see
+
+
+def black(rig: Rig) -> None:
+    """All zero, with fresh times; a black picture with noise is the tracker's to call lost."""
+    rig.see = lambda frame: frame and replace(frame, image=np.zeros_like(frame.image))
+
+
+def stall(rig: Rig) -> None:
+    rig.see = lambda _frame: None
+
+
+def decoder_error(rig: Rig) -> None:
+    def see(_frame: Frame | None) -> Frame | None:
+        raise CameraError("the stream cannot be decoded any more")
+
+    rig.see = see
+
+
+def lose(rig: Rig) -> None:
+    rig.track = lambda track: replace(track, found=False, confidence=0.0)
+
+
+def lose_for(seconds: float) -> Callable[[Rig], None]:
+    def inject(rig: Rig) -> None:
+        rig.track = lambda track: replace(track, found=rig.t_s > rig.fault_t_s + seconds)
+
+    return inject
+
+
+def tracker_raises(rig: Rig) -> None:
+    def track(_track: Track) -> Track:
+        raise RuntimeError("a defect in the tracker")
+
+    rig.track = track
+
+
+def forged(value: float) -> Callable[[Rig], None]:
+    """A box that no honest constructor would make."""
+
+    def inject(rig: Rig) -> None:
+        def track(true: Track) -> Track:
+            box = object.__new__(Box)
+            for name in Box.__slots__:
+                object.__setattr__(box, name, value)
+            return replace(true, box=box)
+
+        rig.track = track
+
+    return inject
+
+
+def refused(rig: Rig) -> None:
+    rig.track = lambda track: replace(track, box=Box(math.nan, 0.0, 1.0, 1.0))
+
+
+def jump(rig: Rig) -> None:
+    """The tracker is sure of something else, five times as large and far off."""
+    rig.track = lambda track: replace(track, box=Box.around(80.0, 60.0, 5 * track.box.w, 5 * track.box.h))
+
+
+def hop(rig: Rig) -> None:
+    """The box leaps to and fro by more than its width at every picture."""
+
+    def track(true: Track) -> Track:
+        return replace(true, box=true.box.moved(2.5 * true.box.w * rig.chance.choice((-1, 1)), 0.0))
+
+    rig.track = track
+
+
+def pilot(rig: Rig) -> None:
+    rig.system.flight.enter("POSCTL" if rig.autopilot is Autopilot.PX4 else "LOITER")
+
+
+def disarm(rig: Rig) -> None:
+    rig.system.flight.disarm(force=True)
+
+
+def low_battery(rig: Rig) -> None:
+    rig.system.flight.parameters.update(
+        {"COM_LOW_BAT_ACT": 3} if rig.autopilot is Autopilot.PX4 else {"BATT_FS_LOW_ACT": 2}
+    )
+    rig.system.flight.battery = 0.05
+
+
+def autopilots_fence(rig: Rig) -> None:
+    px4 = {"GF_ACTION": 3, "GF_MAX_HOR_DIST": 5.0}
+    rig.system.flight.parameters.update(px4 if rig.autopilot is Autopilot.PX4 else {"FENCE_RADIUS": 5.0})
+
+
+def vehicle_clock(by_s: float) -> Callable[[Rig], None]:
+    def inject(rig: Rig) -> None:
+        rig.system._boot_s += by_s
+
+    return inject
+
+
+def our_clock(by_s: float) -> Callable[[Rig], None]:
+    def inject(rig: Rig) -> None:
+        rig.jump_s += by_s
+
+    return inject
+
+
+def wish(setpoint: Setpoint) -> Callable[[Rig], None]:
+    def inject(rig: Rig) -> None:
+        rig.wish = lambda _wish: setpoint
+
+    return inject
+
+
+def wild_wish(rig: Rig) -> None:
+    """The servo asks for anything."""
+    rig.wish = lambda _wish: Setpoint(*(rig.chance.choice((math.nan, math.inf, 1e9, -1e9, 5.0)) for _ in range(4)))
+
+
+def stick(rig: Rig) -> None:
+    """The remote control wakes with its sticks at rest; a second later the pilot pushes one."""
+
+    def way(packets: list[bytes]) -> list[bytes]:
+        pushed = rig.t_s > rig.fault_t_s + 1.0
+        rig.system.flight.sticks = (0.0, 0.8 if pushed else 0.0, 0.0, 0.0)
+        return packets
+
+    rig.to_client = way
+
+
+def nothing(_rig: Rig) -> None:
+    """No fault: the border itself is what is met."""
+
+
+NEAR = replace(Limits(), fence_m=30.0)
+LOW = replace(Limits(), ceiling_m=11.0)
+PILOT_HAS_IT = pilot_has_it(2.2)
+STOP = stops(5.0, 7.0)
+WITHIN_SPEED = within("no limit is passed, in control", "8 m/s + 0.5 m/s", lambda o: o.fastest_m_s, lambda v: v < 8.5)
+
+ROWS = (
+    Row("camera stalls", stall, STOP, fast=True),
+    Row("network holds pictures up for 0.8 s", hold_up_for(0.8), goes_on(3.0)),
+    Row("camera repeats one picture", freeze, STOP, fast=True),
+    Row("picture goes black", black, STOP),
+    Row("decoder error", decoder_error, STOP),
+    Row("target lost", lose, hovers(7.0, 12.0), fast=True),
+    Row("target lost for 1 s", lose_for(1.0), goes_on(3.0)),
+    Row("tracker raises", tracker_raises, STOP, fast=True),
+    Row("NaN box, refused by its constructor", refused, STOP),
+    Row("NaN box, forged", forged(math.nan), hovers(7.0, 12.0), fast=True),
+    Row("infinite box, forged", forged(math.inf), hovers(7.0, 12.0)),
+    Row("box jumps to something else", jump, hovers(7.0, 12.0), fast=True),
+    Row("box hops to and fro", hop, goes_on(3.0)),
+    Row("telemetry stops", deaf(), STOP, fast=True),
+    Row("attitude stops", deaf(ATTITUDE), STOP),
+    Row("position stops", deaf(POSITION), STOP),
+    Row("heartbeat stops", deaf(HEARTBEAT), stops(8.0, 16.0)),
+    Row("link drops for 0.3 s", drop_for(0.3), goes_on(3.0)),
+    Row("link drops for 5 s and returns", drop_for(5.0), lost_link(6.0, 10.0), fast=True),
+    Row("30 % loss both ways", lose_a_third, goes_on(3.0), fast=True),
+    Row("packets duplicated and reordered", shuffle, goes_on(3.0)),
+    Row("garbage bytes", garble, goes_on(3.0), fast=True),
+    Row("another system id on the link", another_vehicle, goes_on(3.0)),
+    Row(
+        "pilot takes over by a mode",
+        pilot,
+        falls_silent(1.2, ("POSCTL", "LOITER")),
+        fast=True,
+    ),
+    Row("pilot moves a stick", stick, PILOT_HAS_IT),
+    Row("disarm", disarm, falls_silent(1.2)),
+    Row("second sender", second_sender, STOP, fast=True),
+    Row("vehicle's clock jumps +100 s", vehicle_clock(100.0), goes_on(3.0)),
+    Row("vehicle's clock jumps -50 s", vehicle_clock(-50.0), goes_on(3.0)),
+    Row("vehicle's clock jumps -0.5 s", vehicle_clock(-0.5), either(STOP, goes_on(3.0))),
+    Row("our clock jumps +5 s", our_clock(5.0), STOP),
+    Row("our clock jumps -5 s", our_clock(-5.0), WITHIN_SPEED),
+    Row("servo asks for NaN, inf and 10^9", wild_wish, WITHIN_SPEED),
+    Row("low battery failsafe of the autopilot", low_battery, falls_silent(1.2, ("RTL", "LAND"))),
+    Row("autopilot's fence reached", autopilots_fence, falls_silent(1.2, ("RTL", "LAND"))),
+    Row(
+        "our fence reached",
+        nothing,
+        within("stays inside, in control", "30 m + 1 m", lambda o: o.farthest_m, lambda v: v < 31.0),
+        {"limits": NEAR},
+        fast=True,
+    ),
+    Row(
+        "altitude floor reached",
+        wish(Setpoint(down_m_s=2.0)),
+        within("stays above", "2 m - 0.3 m", lambda o: o.lowest_m, lambda v: v > 1.7),
+        fast=True,
+    ),
+    Row(
+        "altitude ceiling reached",
+        wish(Setpoint(down_m_s=-2.0)),
+        within("stays below", "11 m + 0.3 m", lambda o: o.highest_m, lambda v: v < 11.3),
+        {"limits": LOW},
+    ),
+)

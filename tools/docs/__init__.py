@@ -1,0 +1,1 @@
+"""Make pages and images of docs/."""

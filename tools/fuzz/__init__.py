@@ -1,0 +1,1 @@
+"""Garbage and mutations into everything that reads from outside."""

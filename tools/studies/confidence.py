@@ -1,0 +1,136 @@
+"""How sharp responses are on the target and where it is not: the thresholds of follow/control/target.py, measured.
+
+    python -m tools.studies.confidence DATA [--frames 300] [--tracker racf,robust,redetect=false]
+
+DATA holds folders of real sequences (`*/*/` with pictures and an annotation file).  Every picture gives the PSR over
+the target's usual PSR, taken as the target estimate takes it, and the overlap with the annotated box.  Every fifth
+picture is also shown to a copy of the tracker that is told to look one search area away, where there is nothing of the
+target.  Prints, for a range of thresholds, how often a tracker on its target would be doubted, and one that looks
+elsewhere or has drifted off believed; draws docs/confidence.png.
+"""
+
+import argparse
+import copy
+from dataclasses import dataclass, field
+from itertools import islice
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+
+from follow.control.target import TargetConfig
+from racf.box import Box
+from racf.evaluate.boxfiles import read_boxes
+from racf.evaluate.images import frames_of
+from racf.evaluate.trackers import TrackerSpec
+from racf.threads import one_core
+from racf.track import Track
+from racf.tracker import Racf
+
+CONFIG = TargetConfig()
+ON, OFF = 0.3, 0.1  # overlaps: surely on the target; surely not
+EVERY = 5  # pictures from one look elsewhere to the next
+THRESHOLDS = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
+
+
+@dataclass
+class Ratios:
+    """PSR over its usual value: of the pictures as they were followed, with their overlaps, and of looks elsewhere."""
+
+    followed: list[float] = field(default_factory=list)
+    overlap: list[float] = field(default_factory=list)
+    elsewhere: list[float] = field(default_factory=list)
+
+
+def measure(folder: Path, truth: np.ndarray, tracker: str, frames: int, into: Ratios) -> list[float]:
+    """Follow one sequence; the overlaps of its pictures."""
+    boxes = [Box(x - 1, y - 1, w, h) if w > 0 and h > 0 else None for x, y, w, h in np.nan_to_num(truth).tolist()]
+    finder, random = TrackerSpec.parse(tracker).build(), np.random.default_rng(0)
+    assert isinstance(finder, Racf)
+    track, usual, accepted, overlaps = None, 0.0, 0, list[float]()
+    for k, (image, box) in enumerate(zip(islice(frames_of(folder), frames), boxes, strict=False)):
+        if box is None:
+            continue
+        if track is None:
+            track = finder.init(image, box)
+            continue
+        prior = away(track, image, random)
+        if k % EVERY == 0 and accepted >= CONFIG.settle and overlaps[-1] >= ON and prior is not None:
+            look = copy.deepcopy(finder).update(image, prior)
+            if look.box.iou(box) < OFF:
+                into.elsewhere.append(look.psr / min(usual, CONFIG.sharp_psr))
+        track = finder.update(image)
+        overlaps.append(track.box.iou(box))
+        if accepted >= CONFIG.settle:
+            into.followed.append(track.psr / min(usual, CONFIG.sharp_psr))
+            into.overlap.append(overlaps[-1])
+        if accepted < CONFIG.settle or track.psr >= CONFIG.lose_psr * min(usual, CONFIG.sharp_psr):
+            accepted += 1
+            usual += max(CONFIG.psr_rate, 1 / accepted) * (track.psr - usual)
+    return overlaps
+
+
+def away(track: Track, image: np.ndarray, random: np.random.Generator) -> Box | None:
+    """The box moved by one search area to a side on which there is picture; None when there is none."""
+    rows, columns = image.shape[:2]
+    x, y, step_x, step_y = track.box.centre_x, track.box.centre_y, track.search.w, track.search.h
+    places = [(x + step_x, y), (x - step_x, y), (x, y + step_y), (x, y - step_y)]
+    places = [(x, y) for x, y in places if 0 < x < columns and 0 < y < rows]
+    if not places:
+        return None
+    return Box.around(*places[random.integers(len(places))], track.box.w, track.box.h)
+
+
+def sequences(data: Path) -> list[tuple[Path, Path]]:
+    """(folder of pictures, annotation file) of every sequence below DATA."""
+    found = []
+    for file in sorted(data.glob("*/*/groundtruth*.txt")):
+        pictures = file.parent / "img" if (file.parent / "img").is_dir() else file.parent
+        found.append((pictures, file))
+    return found
+
+
+def share(what: np.ndarray) -> float:
+    """The share that is true, where there is any."""
+    return float(np.mean(what)) if len(what) else np.nan
+
+
+def draw(ratio: np.ndarray, overlap: np.ndarray, elsewhere: np.ndarray, out: Path) -> None:
+    figure, axes = plt.subplots(figsize=(7, 4), layout="constrained")
+    axes.scatter(overlap, np.minimum(ratio, 2.0), s=4, alpha=0.3, linewidths=0, label="as it was followed")
+    spread = np.linspace(-0.06, -0.02, len(elsewhere))
+    axes.scatter(spread, np.minimum(elsewhere, 2.0), s=4, color="tab:orange", linewidths=0, label="looking elsewhere")
+    for value, name in ((CONFIG.lose_psr, "lost below"), (CONFIG.regain_psr, "found again above")):
+        axes.axhline(value, lw=1, color="tab:red", ls="--" if name.startswith("lost") else ":", label=f"{name} {value}")
+    axes.set(xlabel="overlap with the annotated box", ylabel="PSR over its usual value", ylim=(0, 2))
+    axes.legend(loc="upper left")
+    figure.savefig(out, dpi=110)
+
+
+def main() -> None:
+    one_core()
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("data", type=Path)
+    parser.add_argument("--frames", type=int, default=300)
+    parser.add_argument("--tracker", default="racf,robust,redetect=false")
+    parser.add_argument("--out", type=Path, default=Path("docs/confidence.png"))
+    args = parser.parse_args()
+    ratios = Ratios()
+    for folder, file in sequences(args.data):
+        overlaps = measure(folder, read_boxes(file), args.tracker, args.frames, ratios)
+        on_target = share(np.array(overlaps) >= ON)
+        print(f"{file.parent.name:<14}{len(overlaps):>5} pictures, on target {on_target:.3f}", flush=True)
+    ratio, overlap, elsewhere = map(np.array, (ratios.followed, ratios.overlap, ratios.elsewhere))
+    on, off = ratio[overlap >= ON], ratio[overlap < OFF]
+    print(f"{len(on)} pictures on the target, {len(elsewhere)} looks elsewhere, {len(off)} drifted off")
+    print(f"{'threshold':>10}{'on, doubted':>14}{'elsewhere, believed':>22}{'drifted, believed':>20}")
+    for t in THRESHOLDS:
+        print(f"{t:>10}{share(on < t):>14.3f}{share(elsewhere >= t):>22.3f}{share(off >= t):>20.3f}")
+    draw(ratio, overlap, elsewhere, args.out)
+
+
+if __name__ == "__main__":
+    main()
