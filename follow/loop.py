@@ -14,7 +14,7 @@ from racf.box import Box
 from racf.track import Track
 
 
-class Tracker(Protocol):
+class BoxTracker(Protocol):
     """Finds the box again in each new picture; `racf.Racf` is one."""
 
     def update(self, image: NDArray[np.uint8], prior: Box | None = None) -> Track:
@@ -22,7 +22,7 @@ class Tracker(Protocol):
         ...
 
 
-class Target(Protocol):
+class TargetEstimator(Protocol):
     """Turns boxes and the vehicle's own motion into where the target is; `follow.control.target.Target` is one."""
 
     def predict(self, state: VehicleState, t_s: float) -> Box | None:
@@ -34,7 +34,7 @@ class Target(Protocol):
         ...
 
 
-class Servo(Protocol):
+class Controller(Protocol):
     """Wishes a velocity; `follow.control.servo.Servo` is one."""
 
     def update(self, estimate: Estimate, state: VehicleState) -> Setpoint:
@@ -42,11 +42,11 @@ class Servo(Protocol):
         ...
 
 
-class Safety(Protocol):
+class SetpointGate(Protocol):
     """The gate; `follow.safety.gate.Safety` is one."""
 
-    def allow(self, wish: Setpoint, estimate: Estimate, state: VehicleState, frame_t_s: float) -> Decision:
-        """What of the wish may be sent at `state.t_s`, given when the newest picture was taken."""
+    def allow(self, desired: Setpoint, estimate: Estimate, state: VehicleState, frame_t_s: float) -> Decision:
+        """What of the desired setpoint may be sent at `state.t_s`, given when the newest picture was taken."""
         ...
 
     def order(self, order: Order) -> None:
@@ -57,10 +57,10 @@ class Safety(Protocol):
 def follow(
     camera: Camera,
     link: Link,
-    tracker: Tracker,
-    target: Target,
-    servo: Servo,
-    safety: Safety,
+    tracker: BoxTracker,
+    target: TargetEstimator,
+    servo: Controller,
+    safety: SetpointGate,
     orders: Callable[[], Order | None] = lambda: None,
 ) -> Iterator[Tick]:
     """Keep the target in view until the frames end, yielding one Tick a round."""
@@ -74,13 +74,13 @@ def follow(
             track = tracker.update(frame.image, target.predict(state, frame.t_s))
         clock.append(perf_counter())
         estimate = target.update(track, state, frame_t_s)
-        wish = servo.update(estimate, state)
+        desired = servo.update(estimate, state)
         if order := orders():
             safety.order(order)
-        decision = safety.allow(wish, estimate, state, frame_t_s)
+        decision = safety.allow(desired, estimate, state, frame_t_s)
         clock.append(perf_counter())
         link.send(decision.setpoint)
         clock.append(perf_counter())
         spent = zip(("tracker", "control", "send"), clock[:-1], clock[1:], strict=True)
         stage_ms = {name: 1e3 * (after - before) for name, before, after in spent}
-        yield Tick(frame, track, state, estimate, wish, decision, stage_ms)
+        yield Tick(frame, track, state, estimate, desired, decision, stage_ms)

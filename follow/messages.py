@@ -5,6 +5,7 @@ one clock, the one of the link that flies (in a simulation: simulated time).
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -12,6 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from racf.track import Track
+
+Notify = Callable[[str], None]
+"""Takes one line for a person to read."""
 
 NEVER = -math.inf
 """The time of something that has not happened."""
@@ -71,7 +75,7 @@ class VehicleState:
 
 @dataclass(frozen=True, slots=True)
 class Setpoint:
-    """Body-frame velocity command, FRD axes (levelled: heading only); also the servo's wish before the gate."""
+    """Body-frame velocity command, FRD axes (levelled: heading only); before the gate: what the servo desires."""
 
     forward_m_s: float = 0.0
     right_m_s: float = 0.0
@@ -139,6 +143,6 @@ class Tick:
     track: Track | None
     state: VehicleState
     estimate: Estimate
-    wish: Setpoint
+    desired: Setpoint
     decision: Decision
     stage_ms: dict[str, float] = field(default_factory=dict)

@@ -21,7 +21,7 @@ from racf.evaluate.benchmarks import BENCHMARKS, Sequence, is_known, read_benchm
 from racf.evaluate.boxfiles import write_boxes
 from racf.evaluate.images import frames_of
 from racf.evaluate.report import Report, Table, build_report
-from racf.evaluate.runner import Run, run_all, tasks
+from racf.evaluate.runner import SequenceRun, run_all, tasks
 from racf.evaluate.stored import Stored, read_stored, sequences_of_trackers, trackers_in, with_results
 from racf.evaluate.trackers import OPENCV, TrackerSpec
 
@@ -30,7 +30,7 @@ Many = tyro.conf.UseAppendAction[tuple[str, ...]]
 
 
 @dataclass(frozen=True, slots=True)
-class Track:
+class TrackCommand:
     """Follow one box through a video file or a folder of pictures."""
 
     source: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SOURCE")]
@@ -46,7 +46,7 @@ class Track:
 
 
 @dataclass(frozen=True, slots=True)
-class Eval:
+class EvalCommand:
     """One-pass evaluation on a benchmark, of trackers run here and of stored boxes."""
 
     root: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="ROOT")]
@@ -82,7 +82,7 @@ class Eval:
 
 
 @dataclass(frozen=True, slots=True)
-class Bench:
+class BenchCommand:
     """Frames per second of every variant and of OpenCV's trackers, stage by stage, on one core."""
 
     source: Annotated[tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="[SOURCE]")] = None
@@ -100,9 +100,9 @@ class Bench:
 
 
 Command = (
-    Annotated[Track, tyro.conf.subcommand("track")]
-    | Annotated[Eval, tyro.conf.subcommand("eval")]
-    | Annotated[Bench, tyro.conf.subcommand("bench")]
+    Annotated[TrackCommand, tyro.conf.subcommand("track")]
+    | Annotated[EvalCommand, tyro.conf.subcommand("eval")]
+    | Annotated[BenchCommand, tyro.conf.subcommand("bench")]
 )
 
 
@@ -112,17 +112,17 @@ def main() -> None:
     sys.exit(run(Command, execute, prog="racf", description=description, config=(tyro.conf.FlagCreatePairsOff,)))
 
 
-def execute(command: Track | Eval | Bench) -> None:
+def execute(command: TrackCommand | EvalCommand | BenchCommand) -> None:
     """Do what was asked."""
-    if isinstance(command, Track):
+    if isinstance(command, TrackCommand):
         track(command)
-    elif isinstance(command, Eval):
+    elif isinstance(command, EvalCommand):
         evaluate(command)
     else:
         bench(command)
 
 
-def track(command: Track) -> None:
+def track(command: TrackCommand) -> None:
     """`racf track`."""
     spec = _specs((command.tracker,), command.set)[0]
     try:
@@ -139,7 +139,7 @@ def track(command: Track) -> None:
     _say(f"{len(boxes)} boxes written to {command.out}")
 
 
-def evaluate(command: Eval) -> None:
+def evaluate(command: EvalCommand) -> None:
     """`racf eval`."""
     grid = _grid(command)
     usual = ("racf",) if command.table is None else studies.trackers_of(command.table, grid)
@@ -166,7 +166,7 @@ def evaluate(command: Eval) -> None:
         _show(tables[0])
 
 
-def _grid(command: Eval) -> studies.Grid:
+def _grid(command: EvalCommand) -> studies.Sweep:
     """The settings of tables 3 and 4, after a look at all numbers of the command."""
     if command.jitter < 0 or command.jobs < 0 or command.pictures < 0:
         raise UsageError(
@@ -180,12 +180,12 @@ def _grid(command: Eval) -> studies.Grid:
         raise UsageError("--pictures needs --out, the folder to draw into")
     try:
         iterations = tuple(int(n) for n in command.iterations.split(","))
-        return studies.Grid(iterations, tuple(float(eta) for eta in command.etas.split(",")))
+        return studies.Sweep(iterations, tuple(float(eta) for eta in command.etas.split(",")))
     except ValueError:
         raise UsageError(f"--iterations and --etas: {command.iterations} / {command.etas} are not 1,2,3") from None
 
 
-def bench(command: Bench) -> None:
+def bench(command: BenchCommand) -> None:
     """`racf bench`."""
     specs, others = _specs(command.tracker or speed.OURS, ()), speed.peers()
     if theirs := [spec.label for spec in specs if spec.name in OPENCV]:
@@ -280,7 +280,9 @@ def _whole(text: str, folder: Path, sequences: list[Sequence]) -> list[str]:
     return names
 
 
-def _run(command: Eval, specs: list[TrackerSpec], sequences: list[Sequence]) -> dict[str, dict[str, list[Run]]]:
+def _run(
+    command: EvalCommand, specs: list[TrackerSpec], sequences: list[Sequence]
+) -> dict[str, dict[str, list[SequenceRun]]]:
     todo = [task for spec in specs for sequence in sequences for task in tasks(spec, sequence, command.jitter)]
     if not todo:
         return {}

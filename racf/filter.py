@@ -20,7 +20,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from racf.fourier import Grid
+from racf.fourier import PrunedDft
 from racf.params import Params
 
 Float32 = NDArray[np.float32]
@@ -111,7 +111,7 @@ class Learned:
 
 
 def learn(
-    grid: Grid,
+    grid: PrunedDft,
     params: Params,
     x_f: Float32,
     residue_f: Float32,

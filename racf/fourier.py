@@ -13,7 +13,7 @@ Float32 = NDArray[np.float32]
 Complex = NDArray[np.complex128]
 
 
-class Grid:
+class PrunedDft:
     """Transforms between a `rows` x `cols` grid, its centred `support` = (m, n) part, and spectra.
 
     Position 0 of the transforms is the grid's middle (rows//2, cols//2): a filter and a sample that are both centred

@@ -10,7 +10,7 @@ from racf import response as responses
 from racf.box import Box
 from racf.features import Features
 from racf.filter import Learned, learn
-from racf.fourier import Grid
+from racf.fourier import PrunedDft
 from racf.params import Params
 from racf.patch import resample
 
@@ -43,7 +43,7 @@ class TranslationFilter:
         self._features = Features(cells, cells, cell, colour)
         self._target_cells = (first.w * cells / side, first.h * cells / side)
         support = [min(max(math.floor(n), 1), cells) for n in self._target_cells]
-        self._grid = Grid(cells, cells, (support[1], support[0]))
+        self._grid = PrunedDft(cells, cells, (support[1], support[0]))
         sigma = math.sqrt(self._target_cells[0] * self._target_cells[1]) * params.label_sigma
         shift = np.fft.fftfreq(cells, 1 / cells)
         label = np.exp(-0.5 * (shift[:, None] ** 2 + shift[None, :] ** 2) / sigma**2).astype(np.float32)

@@ -15,12 +15,12 @@ from follow.geometry import Intrinsics, camera_to_ned
 from follow.link import Link
 from follow.messages import NEVER, Frame
 from racf.box import Box
-from sim.dynamics import Motion
+from sim.dynamics import VehicleTruth
 from sim.scene.drawing import View
 from sim.scene.ground import Image
 from sim.scene.optics import Lens, Optics, Sensor, smear
 from sim.scene.rendering import Scene, Seen
-from sim.scene.world import Place, World
+from sim.scene.world import ActorPose, World
 
 ROUNDS_PER_S = 30.0  # the loop runs at least so often, with or without a picture
 
@@ -38,13 +38,13 @@ class CameraSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class Truth:
+class FrameTruth:
     """What is true of one picture: when and from where it was taken; of each actor its place, box and visible share."""
 
     index: int
     t_s: float
-    motion: Motion
-    places: tuple[Place, ...]
+    motion: VehicleTruth
+    places: tuple[ActorPose, ...]
     seen: tuple[Seen, ...]
 
     @property
@@ -58,10 +58,10 @@ class Truth:
         return self.seen[0].visible
 
 
-class Flight(Protocol):
+class CameraCarrier(Protocol):
     """What carries the camera."""
 
-    def advance(self, dt_s: float) -> Motion:
+    def advance(self, dt_s: float) -> VehicleTruth:
         """Let that much time pass and say where the camera's vehicle is then."""
         ...
 
@@ -72,12 +72,12 @@ class LiveFlight:
     The scene is put where the vehicle is at the first call: it begins at the scenario's start, looking along its yaw.
     """
 
-    def __init__(self, link: Link, start: Motion) -> None:
+    def __init__(self, link: Link, start: VehicleTruth) -> None:
         self.link, self.start = link, start
-        self._anchor: Motion | None = None
+        self._anchor: VehicleTruth | None = None
         self._due_s = 0.0
 
-    def advance(self, dt_s: float) -> Motion:
+    def advance(self, dt_s: float) -> VehicleTruth:
         """Sleep until the time has passed; raises LinkError through the link when it breaks."""
         now = time.monotonic()
         self._due_s = max(self._due_s + dt_s, now - dt_s) if self._due_s else now + dt_s
@@ -99,11 +99,11 @@ class LiveFlight:
             yaw_rad=math.remainder(m.yaw_rad + turn, math.tau),
         )
 
-    def _motion(self) -> Motion:
+    def _motion(self) -> VehicleTruth:
         s = self.link.state()
         old = s.t_s - s.position_t_s if s.position_t_s > NEVER else 0.0
         turned = s.t_s - s.attitude_t_s if s.attitude_t_s > NEVER else 0.0
-        return Motion(
+        return VehicleTruth(
             t_s=s.t_s,
             north_m=s.north_m + old * s.north_m_s,
             east_m=s.east_m + old * s.east_m_s,
@@ -126,15 +126,15 @@ class SceneCamera:
     """
 
     def __init__(
-        self, world: World, flight: Flight, settings: CameraSettings, duration_s: float = math.inf, seed: int = 0
+        self, world: World, flight: CameraCarrier, settings: CameraSettings, duration_s: float = math.inf, seed: int = 0
     ) -> None:
         self.world, self.flight, self.settings, self.duration_s = world, flight, settings, duration_s
         self.lens = Lens(settings.intrinsics)
         self.scene = Scene(world, self.lens.ideal)
         self._sensor = Sensor(settings.optics, world.sun.light, seed)
         self._seed = seed
-        self._truths: dict[int, Truth] = {}
-        self._begin: Motion | None = None
+        self._truths: dict[int, FrameTruth] = {}
+        self._begin: VehicleTruth | None = None
 
     def first(self) -> tuple[Frame, Box]:
         """The picture at the start and the target's box in it, to begin tracking with.
@@ -149,7 +149,7 @@ class SceneCamera:
             )
         return Frame(image, motion.t_s, 0), seen[0].box
 
-    def truth(self, index: int) -> Truth:
+    def truth(self, index: int) -> FrameTruth:
         """What is true of the picture with that index; raises KeyError when it was never yielded."""
         return self._truths[index]
 
@@ -160,7 +160,7 @@ class SceneCamera:
         round_s = 1.0 / (s.frames_per_s * rounds)
         motion = self._start()
         begin_s = motion.t_s
-        waiting: deque[tuple[int, Motion]] = deque()
+        waiting: deque[tuple[int, VehicleTruth]] = deque()
         count = 0
         while motion.t_s - begin_s <= self.duration_s + 1e-9:
             if count % rounds == 0:
@@ -170,22 +170,22 @@ class SceneCamera:
             motion = self.flight.advance(round_s)
             count += 1
 
-    def _start(self) -> Motion:
+    def _start(self) -> VehicleTruth:
         if self._begin is None:
             self._begin = self.flight.advance(0.0)
         return self._begin
 
-    def _deliver(self, index: int, motion: Motion, begin_s: float) -> Frame | None:
+    def _deliver(self, index: int, motion: VehicleTruth, begin_s: float) -> Frame | None:
         t_s = motion.t_s - begin_s
         # The first picture never falls out: tracking begins with it.
         if index > 0 and np.random.default_rng([self._seed, 6, index]).random() < self.settings.drop_share:
             return None
         image, seen = self._draw(motion, t_s, index)
         places = tuple(actor.route.at(t_s) for actor in self.world.actors)
-        self._truths[index] = Truth(index, motion.t_s, motion, places, seen)
+        self._truths[index] = FrameTruth(index, motion.t_s, motion, places, seen)
         return Frame(image, motion.t_s, index)
 
-    def _draw(self, motion: Motion, t_s: float, index: int) -> tuple[Image, tuple[Seen, ...]]:
+    def _draw(self, motion: VehicleTruth, t_s: float, index: int) -> tuple[Image, tuple[Seen, ...]]:
         view = self._view(motion)
         image, seen = self.scene.draw(view, t_s)
         shutter = self.settings.optics.shutter_s
@@ -199,7 +199,7 @@ class SceneCamera:
         image = self._sensor.expose(image, smear(self._view(before), view), t_s, index)
         return image, tuple(self.lens.bend_box(one) for one in seen)
 
-    def _view(self, m: Motion) -> View:
+    def _view(self, m: VehicleTruth) -> View:
         rotation = camera_to_ned(self.settings.down_rad, m.roll_rad, m.pitch_rad, m.yaw_rad)
         return View(self.lens.ideal, rotation, np.array([m.north_m, m.east_m, m.down_m]))
 

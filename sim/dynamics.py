@@ -22,7 +22,7 @@ SUBSTEP_S = 0.01  # a quarter of the fastest fitted time constant and less
 
 
 @dataclass(frozen=True, slots=True)
-class Axis:
+class VelocityLoop:
     """A PI velocity loop on one axis and the air that it works against.
 
     a_ask = gain·(v_ref - v) + integral·∫(v_ref - v)dt + feed_forward·a_ref, limited to `limit_m_s2`;
@@ -41,7 +41,7 @@ class Axis:
 
 
 @dataclass(frozen=True, slots=True)
-class Turn:
+class YawLoop:
     """The yaw loop: ṙ = gain·(r_ref - r) + integral·∫(r_ref - r)dt - damping·r, with r_ref limited."""
 
     gain_per_s: float
@@ -52,14 +52,14 @@ class Turn:
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class ResponseModel:
     """How one autopilot answers.  `drift_m_s` is the standard deviation of its wandering when it should stand still."""
 
     dead_time_s: float
     yaw_dead_time_s: float
-    horizontal: Axis
-    vertical: Axis
-    turn: Turn
+    horizontal: VelocityLoop
+    vertical: VelocityLoop
+    turn: YawLoop
     drift_m_s: float
     drift_time_s: float
 
@@ -69,22 +69,24 @@ _TILT_LIMIT_M_S2 = GRAVITY_M_S2 * math.tan(math.radians(45.0))
 
 # Fitted by tools/studies/fit_vehicle.py to PX4 1.16 (SIH quadrotor) and ArduCopter 4.7-dev (SITL quad), speeds to
 # 5 m/s; drag is linear and so extrapolated above.  Limits and ramps are the autopilots' parameters, not fitted.
-ANSWERS: dict[Autopilot, Answer] = {
-    Autopilot.PX4: Answer(
+ANSWERS: dict[Autopilot, ResponseModel] = {
+    Autopilot.PX4: ResponseModel(
         dead_time_s=0.067,
         yaw_dead_time_s=0.071,
-        horizontal=Axis(1.57, 0.46, 0.116, 13.4, 0.56, 0.279, _TILT_LIMIT_M_S2, math.inf, math.inf),
-        vertical=Axis(5.64, 3.01, 0.092, 25.0, 1.0, 0.096, 5.0, math.inf, math.inf),
-        turn=Turn(3.56, 1.09, 0.642, 3.5, 15.5),
+        horizontal=VelocityLoop(1.57, 0.46, 0.116, 13.4, 0.56, 0.279, _TILT_LIMIT_M_S2, math.inf, math.inf),
+        vertical=VelocityLoop(5.64, 3.01, 0.092, 25.0, 1.0, 0.096, 5.0, math.inf, math.inf),
+        turn=YawLoop(3.56, 1.09, 0.642, 3.5, 15.5),
         drift_m_s=0.065,  # measured: the velocity sideways to a commanded step
         drift_time_s=0.46,
     ),
-    Autopilot.ARDUPILOT: Answer(
+    Autopilot.ARDUPILOT: ResponseModel(
         dead_time_s=0.081,
         yaw_dead_time_s=0.09,
-        horizontal=Axis(3.85, 8.0, 1.0, 29.9, 1.22, 0.36, _TILT_LIMIT_M_S2, 2.5, 5.0),  # WPNAV_ACCEL, PSC_JERK_XY
-        vertical=Axis(1.54, 0.41, 1.2, 13.5, 1.0, 0.0, 5.0, 2.5, 5.0),  # PILOT_ACCEL_Z
-        turn=Turn(3.61, 20.9, 1.81, math.radians(60.0), 20.0),  # ATC_SLEW_YAW
+        horizontal=VelocityLoop(
+            3.85, 8.0, 1.0, 29.9, 1.22, 0.36, _TILT_LIMIT_M_S2, 2.5, 5.0
+        ),  # WPNAV_ACCEL, PSC_JERK_XY
+        vertical=VelocityLoop(1.54, 0.41, 1.2, 13.5, 1.0, 0.0, 5.0, 2.5, 5.0),  # PILOT_ACCEL_Z
+        turn=YawLoop(3.61, 20.9, 1.81, math.radians(60.0), 20.0),  # ATC_SLEW_YAW
         drift_m_s=0.0,  # it holds within 2 cm
         drift_time_s=1.0,
     ),
@@ -105,7 +107,7 @@ CALM = Wind()
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class VehicleTruth:
     """Where the vehicle is and how it moves at `t_s`: local NED, aerospace attitude, yaw rate about the down axis."""
 
     t_s: float = 0.0
@@ -133,7 +135,7 @@ class _Loop:
     a_rate: complex = 0.0
     integral: complex = 0.0
 
-    def step(self, axis: Axis, command: complex, wind: complex, dt: float) -> None:
+    def step(self, axis: VelocityLoop, command: complex, wind: complex, dt: float) -> None:
         """Advance by `dt` toward the velocity `command` in moving air."""
         if math.isinf(axis.ramp_m_s2):
             self.v_ref = command
@@ -182,10 +184,10 @@ class Vehicle:
     def __init__(
         self,
         autopilot: Autopilot,
-        start: Motion = Motion(),
+        start: VehicleTruth = VehicleTruth(),
         wind: Wind = CALM,
         seed: int = 0,
-        answer: Answer | None = None,
+        answer: ResponseModel | None = None,
     ) -> None:
         self.autopilot = autopilot
         self.answer = answer or ANSWERS[autopilot]
@@ -212,7 +214,7 @@ class Vehicle:
             still = Setpoint(level.real, level.imag, start.down_m_s, start.yaw_rate_rad_s)
         self._velocity_now = self._yaw_now = still
 
-    def step(self, setpoint: Setpoint | None, dt_s: float) -> Motion:
+    def step(self, setpoint: Setpoint | None, dt_s: float) -> VehicleTruth:
         """Fly on for `dt_s` with this setpoint arriving at its start; None: motors off.
 
         Raises ValueError for a setpoint that is not finite or a time that does not pass.
@@ -264,7 +266,7 @@ class Vehicle:
         v, v_down = self._plane.v, self._lift.v.real
         height_left = -now.down_m
         landed = height_left - v_down * dt <= 0.0 and v_down >= 0.0
-        self.motion = Motion(
+        self.motion = VehicleTruth(
             t_s=now.t_s + dt,
             north_m=now.north_m + v.real * dt,
             east_m=now.east_m + v.imag * dt,
@@ -308,7 +310,7 @@ class Vehicle:
         self._lift = _Loop(0.0, 0.0)
         self._rate = self._rate_ref = self._rate_integral = 0.0
         now = self.motion
-        self.motion = Motion(now.t_s + dt, now.north_m, now.east_m, 0.0, yaw_rad=now.yaw_rad, landed=True)
+        self.motion = VehicleTruth(now.t_s + dt, now.north_m, now.east_m, 0.0, yaw_rad=now.yaw_rad, landed=True)
 
     def _fall(self, dt_s: float) -> None:
         """Motors off: free fall without turning, until the ground."""

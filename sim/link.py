@@ -7,7 +7,7 @@ from types import TracebackType
 from typing_extensions import Self
 
 from follow.messages import HOVER, Autopilot, Setpoint, VehicleState
-from sim.dynamics import Motion, Vehicle
+from sim.dynamics import Vehicle, VehicleTruth
 
 MODE = {Autopilot.PX4: "OFFBOARD", Autopilot.ARDUPILOT: "GUIDED"}
 # Measured: when each stops obeying a stream that stopped (docs/vehicle.md).
@@ -16,7 +16,7 @@ SINK_M_S = 0.6  # PX4 without a stream and without a remote control: position mo
 TELEMETRY_DELAY_S = 0.03  # attitude at 50 Hz over a serial line: half a period and the way
 
 
-def present(m: Motion) -> Setpoint:
+def present(m: VehicleTruth) -> Setpoint:
     """The setpoint that keeps the present velocity."""
     c, s = math.cos(m.yaw_rad), math.sin(m.yaw_rad)
     return Setpoint(c * m.north_m_s + s * m.east_m_s, c * m.east_m_s - s * m.north_m_s, m.down_m_s, m.yaw_rate_rad_s)
@@ -30,9 +30,9 @@ class SimLink:
         self.setpoint = present(vehicle.motion)  # whoever flew it here keeps its velocity until we send
         self.sent_t_s: float | None = None
         self._delay_s = telemetry_delay_s
-        self._told: deque[Motion] = deque([vehicle.motion])
+        self._told: deque[VehicleTruth] = deque([vehicle.motion])
 
-    def advance(self, dt_s: float) -> Motion:
+    def advance(self, dt_s: float) -> VehicleTruth:
         """Let time pass and give the true motion at its end."""
         vehicle = self.vehicle
         if dt_s > 0.0:

@@ -15,7 +15,7 @@ from follow.messages import Frame
 from racf.box import Box
 from sim.scene.ground import Image
 from sim.scene.world import World
-from sim.score import Row, distance, offset
+from sim.score import ScoredTick, distance, offset
 
 STRIP = 6  # pictures
 STRIP_WIDTH = 320  # pixels of each
@@ -46,7 +46,7 @@ class Strip:
 def draw(
     path: Path,
     title: str,
-    rows: Sequence[Row],
+    rows: Sequence[ScoredTick],
     world: World,
     camera: Intrinsics,
     standoff_m: float,
@@ -70,7 +70,7 @@ def draw(
     figure.savefig(path, dpi=90)
 
 
-def _ways(ax: Axes, rows: Sequence[Row], world: World) -> None:
+def _ways(ax: Axes, rows: Sequence[ScoredTick], world: World) -> None:
     """Vehicle and target from above, with lines of sight every few seconds, walls and trees."""
     seen = [row for row in rows if row.truth is not None]
     places = np.array([(p.east_m, p.north_m) for row in seen if row.truth for p in row.truth.places[:1]])
@@ -97,7 +97,7 @@ def _ways(ax: Axes, rows: Sequence[Row], world: World) -> None:
     ax.legend(fontsize=8)
 
 
-def _errors(axes: Sequence[Axes], rows: Sequence[Row], camera: Intrinsics, standoff_m: float) -> None:
+def _errors(axes: Sequence[Axes], rows: Sequence[ScoredTick], camera: Intrinsics, standoff_m: float) -> None:
     """Offset in the picture, stand-off error, and what was sent."""
     seen = [row for row in rows if row.truth is not None]
     t = [row.t_s for row in seen]

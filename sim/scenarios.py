@@ -9,7 +9,7 @@ import numpy as np
 from follow.link import Link
 from follow.messages import Autopilot
 from sim.camera import CameraSettings, LiveFlight, SceneCamera
-from sim.dynamics import ANSWERS, CALM, GRAVITY_M_S2, Motion, Vehicle, Wind
+from sim.dynamics import ANSWERS, CALM, GRAVITY_M_S2, Vehicle, VehicleTruth, Wind
 from sim.link import SimLink
 from sim.scene.optics import Optics
 from sim.scene.world import Kind, World
@@ -68,13 +68,13 @@ class Scenario:
             "limits": {"latency_s": self.latency_s, **self.limits},
         }
 
-    def start(self, world: World, seed: int) -> Motion:
+    def start(self, world: World, seed: int) -> VehicleTruth:
         """Behind the target, looking at it but for a few degrees."""
         random = np.random.default_rng([seed, 7])
         place = world.target(0.0)
         c, s = math.cos(place.heading_rad), math.sin(place.heading_rad)
         speed = self.cruise_m_s if self.rolling_start else 0.0
-        return Motion(
+        return VehicleTruth(
             north_m=place.north_m - self.standoff_m * c,
             east_m=place.east_m - self.standoff_m * s,
             down_m=-self.height_m,

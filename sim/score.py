@@ -14,8 +14,8 @@ from itertools import pairwise
 from follow.geometry import Intrinsics
 from follow.messages import Setpoint, Tick
 from racf.box import Box
-from sim.camera import Truth
-from sim.dynamics import Motion
+from sim.camera import FrameTruth
+from sim.dynamics import VehicleTruth
 
 ON_TARGET_IOU = 0.1  # less overlap than this is no longer the target; the trackers' usual mark for a lost one is 0
 HIDDEN = 0.25  # share of the target that shows, below which it counts as occluded
@@ -24,20 +24,20 @@ SLACK = 1e-6  # relative; rounding of the limits' own arithmetic
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class ScoredTick:
     """What scoring needs of one round.  `box` is the tracker's (None: no new picture) and `truth` of that picture."""
 
     t_s: float
-    motion: Motion
+    motion: VehicleTruth
     setpoint: Setpoint | None
     yaw_rad: float  # as the gate knew it when it turned its velocity into the body's axes
     mode: str
     box: Box | None
     found: bool
-    truth: Truth | None
+    truth: FrameTruth | None
 
     @classmethod
-    def of(cls, tick: Tick, motion: Motion, truth: Truth | None) -> "Row":
+    def of(cls, tick: Tick, motion: VehicleTruth, truth: FrameTruth | None) -> "ScoredTick":
         """The row of a tick, the true motion at its end and the truth of its picture."""
         track = tick.track
         return cls(
@@ -53,7 +53,7 @@ class Row:
 
 
 @dataclass(frozen=True, slots=True)
-class Score:
+class FlightScore:
     """The figures of one flight; see `score` for what each means."""
 
     in_view: float
@@ -69,7 +69,9 @@ class Score:
     violations: dict[str, int]
 
 
-def score(rows: Sequence[Row], camera: Intrinsics, standoff_m: float, limits: Mapping[str, float]) -> Score:
+def score(
+    rows: Sequence[ScoredTick], camera: Intrinsics, standoff_m: float, limits: Mapping[str, float]
+) -> FlightScore:
     """All figures of a flight.
 
     in_view         share of pictures with the target's centre inside
@@ -92,7 +94,7 @@ def score(rows: Sequence[Row], camera: Intrinsics, standoff_m: float, limits: Ma
     inside = [abs(x) <= 1.0 and abs(y) <= camera.height / camera.width for x, y in offsets]
     away = [distance(row) - standoff_m for row in pictures]
     worst = max(range(len(lengths)), key=lengths.__getitem__)
-    return Score(
+    return FlightScore(
         in_view=sum(inside) / len(inside),
         centring_rms=rms(lengths),
         centring_x_rms=rms([x for x, _ in offsets]),
@@ -112,7 +114,7 @@ def rms(values: Sequence[float]) -> float:
     return math.sqrt(sum(v * v for v in values) / len(values))
 
 
-def offset(row: Row, camera: Intrinsics) -> tuple[float, float]:
+def offset(row: ScoredTick, camera: Intrinsics) -> tuple[float, float]:
     """The true target's centre from the picture's middle, right and down, in half picture widths."""
     box = row.truth.box if row.truth else None
     if box is None:
@@ -122,7 +124,7 @@ def offset(row: Row, camera: Intrinsics) -> tuple[float, float]:
     return max(-BEHIND, min(BEHIND, x)), max(-BEHIND, min(BEHIND, y))
 
 
-def distance(row: Row) -> float:
+def distance(row: ScoredTick) -> float:
     """Along the ground from the vehicle to the target when the picture was taken, metres."""
     if row.truth is None:
         raise ValueError("a row without a picture has no distance")
@@ -130,29 +132,29 @@ def distance(row: Row) -> float:
     return math.hypot(place.north_m - motion.north_m, place.east_m - motion.east_m)
 
 
-def on(row: Row, actor: int) -> bool:
+def on(row: ScoredTick, actor: int) -> bool:
     """Whether the tracker's box is on that actor, by overlap."""
     box = row.truth.seen[actor].box if row.truth else None
     return row.box is not None and box is not None and row.box.iou(box) >= ON_TARGET_IOU
 
 
-def shows(row: Row) -> bool:
+def shows(row: ScoredTick) -> bool:
     """Whether the target can be seen in the row's picture."""
     return row.truth is not None and row.truth.visible >= HIDDEN
 
 
-def strayed(row: Row) -> bool:
+def strayed(row: ScoredTick) -> bool:
     """In plain view, and the box elsewhere."""
     return shows(row) and not on(row, 0)
 
 
-def on_decoy(row: Row) -> bool:
+def on_decoy(row: ScoredTick) -> bool:
     """On another actor and not on the target; a box that the tracker itself does not believe in does not count."""
     others = range(1, len(row.truth.seen)) if row.truth else range(0)
     return row.found and not on(row, 0) and any(on(row, k) for k in others)
 
 
-def longest_or_total(rows: Sequence[Row], holds: Callable[[Row], bool], *, longest: bool) -> float:
+def longest_or_total(rows: Sequence[ScoredTick], holds: Callable[[ScoredTick], bool], *, longest: bool) -> float:
     """Seconds during which something holds, all together or the longest stretch."""
     total = best = run = 0.0
     for before, row in pairwise(rows):
@@ -167,7 +169,7 @@ REACQUIRE_S = 3.0
 OCCLUSION_S = 0.5  # hidden for less than this is a flicker of leaves
 
 
-def reacquired(rows: Sequence[Row]) -> bool | None:
+def reacquired(rows: Sequence[ScoredTick]) -> bool | None:
     """Whether the box came back onto the target after each time that it was hidden; None when it never was."""
     answers: list[bool] = []
     hidden_since: float | None = None
@@ -182,7 +184,7 @@ def reacquired(rows: Sequence[Row]) -> bool | None:
     return all(answers) if answers else None
 
 
-def violations(rows: Sequence[Row], limits: Mapping[str, float]) -> dict[str, int]:
+def violations(rows: Sequence[ScoredTick], limits: Mapping[str, float]) -> dict[str, int]:
     """In how many rounds each limit was passed, from the first that sent a setpoint on.
 
     Speeds are checked in rounds that sent one, accelerations where the round before did, too; places, which are the

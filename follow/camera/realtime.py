@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from typing_extensions import Self
 
 from follow.camera import Camera
-from follow.camera.video import Replay
+from follow.camera.video import ReplayCamera
 from follow.messages import Frame
 
 COARSE = 16  # every 16th row and column tells most pictures apart in microseconds
@@ -18,7 +18,7 @@ COARSE = 16  # every 16th row and column tells most pictures apart in microsecon
 class RealTime:
     """A replayed camera in real time: each picture comes when it is due, and bears the time at which it came."""
 
-    def __init__(self, footage: Replay, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, footage: ReplayCamera, clock: Callable[[], float] = time.monotonic) -> None:
         self.footage = footage
         self._clock = clock
 

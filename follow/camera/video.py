@@ -24,7 +24,7 @@ from typing_extensions import Self
 
 from follow.camera import Camera, CameraError
 from follow.camera.stream_clock import StreamClock
-from follow.messages import Frame
+from follow.messages import Frame, Notify
 
 IMAGE_SUFFIXES = frozenset({".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp"})
 FOLDER_FPS = 30.0  # image folders seldom say; the commonest rate of the published UAV sequences
@@ -36,11 +36,10 @@ REOPEN_AFTER_S = 1.0  # live: pause before a broken stream is tried again
 OPEN_S = 10.0  # live: a stream that does not begin within this is not there; OpenCV's own patience is 30 s ...
 SILENT_S = 2.0  # ... and so it is for a sender that died; the gate has stopped by then (0.2 s and 1 s)
 
-Report = Callable[[str], None]
 """Takes one line for a person; nothing is raised, the flight goes on."""
 
 
-class Replay(Camera, Protocol):
+class ReplayCamera(Camera, Protocol):
     """A camera whose rounds have a fixed length, and that may know how many there are."""
 
     fps: float
@@ -52,7 +51,7 @@ class Replay(Camera, Protocol):
         ...
 
 
-def open_replay(source: str, fps: float | None, report: Report) -> Replay:
+def open_replay(source: str, fps: float | None, report: Notify) -> ReplayCamera:
     """Open an image folder or a video file; `fps` overrides what the source says.  Raises CameraError."""
     if fps is not None and not 0 < fps <= 1000:
         raise CameraError(f"pictures per second must lie in 0..1000, not {fps:g}")
@@ -98,7 +97,7 @@ class _Closing:
 class ImageFolder(_Closing):
     """The images of a folder in natural order; a hole in their numbers is rounds without a picture."""
 
-    def __init__(self, folder: Path, fps: float, report: Report) -> None:
+    def __init__(self, folder: Path, fps: float, report: Notify) -> None:
         paths = sorted((p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES), key=natural)
         if not paths:
             raise CameraError(f"folder {folder} holds no images ({', '.join(sorted(IMAGE_SUFFIXES))})")
@@ -157,7 +156,7 @@ def _slots(stems: list[str], longest_gap: int) -> list[int]:
 class VideoFile(_Closing):
     """A video file; a picture that does not decode is a round without one."""
 
-    def __init__(self, path: Path, fps: float | None, report: Report) -> None:
+    def __init__(self, path: Path, fps: float | None, report: Notify) -> None:
         _hush_decoders()
         self._path = path
         self._report = report
@@ -221,7 +220,7 @@ class LiveVideo(_Closing):
     """
 
     def __init__(
-        self, source: str, report: Report, delay_s: float = 0.0, clock: Callable[[], float] = time.monotonic
+        self, source: str, report: Notify, delay_s: float = 0.0, clock: Callable[[], float] = time.monotonic
     ) -> None:
         _hush_decoders()
         self._source = source

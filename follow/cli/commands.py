@@ -26,7 +26,7 @@ def require_system_id(system_id: int | None) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class Replay:
+class ReplayCommand:
     """A video file or a folder of images through tracker, servo, gate and a link that only pretends to fly."""
 
     source: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")]
@@ -54,7 +54,7 @@ class Replay:
 
 
 @dataclass(frozen=True, slots=True)
-class Sim:
+class SimCommand:
     """A closed loop without a drone: a drawn world, a vehicle that answers as PX4's or ArduPilot's did."""
 
     scenario: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SCENARIO")] = "walker"
@@ -89,7 +89,7 @@ class Sim:
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
+class RunCommand:
     """Fly: follow a target with a vehicle that is already in the air.
 
     No setpoint is sent until FOLLOW is ordered: by --follow, by the key f, by SIGUSR1 or by a switch.  The key o, the
@@ -140,7 +140,7 @@ class Run:
 
 
 @dataclass(frozen=True, slots=True)
-class Doctor:
+class DoctorCommand:
     """Look at camera, tracker, link, autopilot, disk, clock and signing, and say what mends them.
 
     Exit status 0: fit to fly.  1: something is red.  Nothing on the vehicle is changed.
@@ -166,7 +166,7 @@ class Doctor:
 
 
 @dataclass(frozen=True, slots=True)
-class Inspect:
+class InspectCommand:
     """Open a recording in Rerun's viewer."""
 
     recording: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR_OR_RRD")]
@@ -175,14 +175,14 @@ class Inspect:
 
 def commands(config: Config) -> Any:
     """The commands as the parser takes them; a setting that the command line does not name is that of `config`."""
-    replay = Replay(tyro.MISSING, config=config)
-    run = Run(tyro.MISSING, config=config)
+    replay = ReplayCommand(tyro.MISSING, config=config)
+    run = RunCommand(tyro.MISSING, config=config)
     return (
-        Annotated[Replay, tyro.conf.subcommand("replay", default=replay)]
-        | Annotated[Sim, tyro.conf.subcommand("sim", default=Sim(config=config))]
-        | Annotated[Run, tyro.conf.subcommand("run", default=run)]
-        | Annotated[Doctor, tyro.conf.subcommand("doctor")]
-        | Annotated[Inspect, tyro.conf.subcommand("inspect")]
+        Annotated[ReplayCommand, tyro.conf.subcommand("replay", default=replay)]
+        | Annotated[SimCommand, tyro.conf.subcommand("sim", default=SimCommand(config=config))]
+        | Annotated[RunCommand, tyro.conf.subcommand("run", default=run)]
+        | Annotated[DoctorCommand, tyro.conf.subcommand("doctor")]
+        | Annotated[InspectCommand, tyro.conf.subcommand("inspect")]
     )  # fmt: skip
 
 

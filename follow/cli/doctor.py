@@ -11,9 +11,9 @@ import cv2
 
 from follow.camera import CameraError
 from follow.camera.video import LiveVideo, is_live, open_replay
-from follow.cli.commands import Doctor
+from follow.cli.commands import DoctorCommand
 from follow.flight import preflight as doctor
-from follow.flight.preflight import Finding, NotFitError, Verdict
+from follow.flight.preflight import Finding, Health, NotFitError
 from follow.flight.session import acquire
 from follow.link import LinkError
 from follow.link.connection import connect
@@ -25,7 +25,7 @@ from racf.box import Box
 BOX_SHARE = 6  # the timed target is a sixth of the picture's height, as a person some 10 m away is
 
 
-def diagnose(command: Doctor) -> None:
+def diagnose(command: DoctorCommand) -> None:
     """Look, report each finding, and raise NotFitError when one of them is red."""
     terminal = Terminal()
     findings: list[Finding] = []
@@ -43,7 +43,7 @@ def diagnose(command: Doctor) -> None:
     if command.json:
         sys.stdout.write(json.dumps([asdict(finding) for finding in findings], indent=1) + "\n")
     if not doctor.is_fit(findings):
-        red = ", ".join(finding.name for finding in findings if finding.verdict is Verdict.RED)
+        red = ", ".join(finding.name for finding in findings if finding.verdict is Health.RED)
         raise NotFitError(f"not fit to fly: {red}")
     unseen = [f"--{name}" for name in ("camera", "link") if getattr(command, name) is None]
     terminal.report(f"nothing red, but not looked at: {' and '.join(unseen)}" if unseen else "fit to fly")
@@ -57,7 +57,7 @@ def look(source: str, tracker: str, out: Path, terminal: Terminal) -> list[Findi
         with LiveVideo(source, terminal.report) if live else open_replay(source, None, terminal.report) as camera:
             findings = doctor.check_camera(camera, time.monotonic if live else None, kept)
     except CameraError as error:
-        return [Finding("camera", Verdict.RED, str(error), "look at the source's name and cable")]
+        return [Finding("camera", Health.RED, str(error), "look at the source's name and cable")]
     if len(kept) > 1:
         rows, columns = kept[0].image.shape[:2]
         out.mkdir(parents=True, exist_ok=True)
@@ -75,10 +75,10 @@ def listen(uri: str, system_id: int | None, key: Path | None) -> list[Finding]:
     try:
         signing = Signing(key) if key is not None else None
     except (ValueError, OSError) as error:
-        return [Finding("signing", Verdict.RED, str(error), "chmod 600, and 32 bytes in it")]
+        return [Finding("signing", Health.RED, str(error), "chmod 600, and 32 bytes in it")]
     try:
         with connect(uri, system_id, signing=signing) as link:
             findings = doctor.check_vehicle(link.client, link.listen, time.monotonic)
             return [*findings, doctor.check_signing(link.client, signing is not None)]
     except LinkError as error:
-        return [Finding("link", Verdict.RED, str(error), "look at its name, cable and permissions")]
+        return [Finding("link", Health.RED, str(error), "look at its name, cable and permissions")]

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Any, cast
 
 from follow.camera import CameraError
-from follow.cli.commands import MARKERS, Doctor, Inspect, Replay, Run, Sim, commands
+from follow.cli.commands import MARKERS, DoctorCommand, InspectCommand, ReplayCommand, RunCommand, SimCommand, commands
 from follow.cli.settings import named, settings_of
 from follow.flight.preflight import NotFitError
 from follow.link import LinkError
@@ -18,21 +18,21 @@ from racf.commandline import guarded, parse
 ABOUT = "Keep a target in view: PX4 and ArduPilot, replayed footage, or a simulated flight."
 
 
-def execute(command: Replay | Sim | Run | Doctor | Inspect) -> None:
+def execute(command: ReplayCommand | SimCommand | RunCommand | DoctorCommand | InspectCommand) -> None:
     """Run one command."""
-    if isinstance(command, Replay):
+    if isinstance(command, ReplayCommand):
         from follow.cli.replay import replay
 
         replay(command)
-    elif isinstance(command, Sim):
+    elif isinstance(command, SimCommand):
         from follow.cli.sim import sim
 
         sim(command)
-    elif isinstance(command, Run):
+    elif isinstance(command, RunCommand):
         from follow.cli.run import fly_live
 
         fly_live(command)
-    elif isinstance(command, Doctor):
+    elif isinstance(command, DoctorCommand):
         from follow.cli.doctor import diagnose
 
         diagnose(command)
@@ -49,7 +49,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     def work() -> None:
         known = commands(settings_of(words))
         command = cast(Any, parse(known, words, prog="follow", description=ABOUT, config=MARKERS))
-        flies = isinstance(command, Replay | Sim | Run)
+        flies = isinstance(command, ReplayCommand | SimCommand | RunCommand)
         execute(replace(command, named=named(words)) if flies else command)
 
     return guarded(work, prog="follow", failures=(CameraError, LinkError, NotFitError))

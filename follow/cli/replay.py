@@ -3,10 +3,9 @@
 import math
 
 from follow.camera import Camera
-from follow.camera.video import Replay as ReplayCamera
-from follow.camera.video import is_live, open_replay
+from follow.camera.video import ReplayCamera, is_live, open_replay
 from follow.camera.window import WindowCamera
-from follow.cli.commands import Replay, box_of
+from follow.cli.commands import ReplayCommand, box_of
 from follow.cli.settings import as_toml
 from follow.config import Config, suited
 from follow.control.footage import FootageTarget
@@ -18,7 +17,7 @@ from follow.loop import follow
 from follow.messages import Order
 from follow.operator.terminal import Terminal
 from follow.recording.recorder import Recorder
-from follow.recording.scoring import Footage, Truth
+from follow.recording.scoring import Annotations, FootageScore
 from follow.safety.gate import Safety
 from racf.box import Box
 from racf.commandline import UsageError
@@ -27,11 +26,11 @@ REPLAY_HEIGHT_M = 10.0  # of the pretended vehicle: a common follow-me height
 PTZ_SHARE = 3  # the virtual camera shows 1 / 3 of the footage's width and height, pixel for pixel
 
 
-def replay(command: Replay) -> None:
+def replay(command: ReplayCommand) -> None:
     """`follow replay`."""
     if is_live(command.source):
         raise UsageError(f"replay plays files, not the live source {command.source!r}: use follow run")
-    truth = Truth(command.truth) if command.truth else None
+    truth = Annotations(command.truth) if command.truth else None
     box = box_of(command.target) if command.target else truth.start if truth else None
     if box is None:
         raise UsageError("what is to be followed? give --target x,y,w,h or --truth FILE")
@@ -45,7 +44,7 @@ def replay(command: Replay) -> None:
         camera: Camera = footage
         lens = config.camera.intrinsics(*footage.size)
         ptz = windowed(footage, link, box, config) if command.ptz else None
-        score = Footage(truth, Box(0, 0, *footage.size), (lambda: ptz.window) if ptz else None)
+        score = FootageScore(truth, Box(0, 0, *footage.size), (lambda: ptz.window) if ptz else None)
         if ptz is not None:
             camera, lens = ptz, ptz.intrinsics
             box = box.moved(-ptz.window.x, -ptz.window.y)

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 from follow.camera import Camera
 from follow.camera.realtime import RealTime
 from follow.camera.video import LiveVideo, is_live, open_replay
-from follow.cli.commands import Run, box_of
+from follow.cli.commands import RunCommand, box_of
 from follow.cli.settings import as_toml
 from follow.config import Config, suited
 from follow.control.servo import Servo
 from follow.control.target import Target
-from follow.flight.live_flight import Parts, Spoken, fly, preflight, unwaived
+from follow.flight.live_flight import LogForwarder, Parts, fly, preflight, unwaived
 from follow.flight.session import acquire, conclude
 from follow.geometry import Intrinsics
 from follow.link import Link
@@ -37,7 +37,7 @@ LONG_S = 1800.0  # a scene's target has as long a way where no end is given: a b
 
 
 @dataclass(frozen=True, slots=True)
-class Eye:
+class OpenCamera:
     """An open camera and what must be known of it to fly by it; `config` are the settings suited to it."""
 
     camera: Camera
@@ -48,7 +48,7 @@ class Eye:
     truth: Callable[[Tick], Box | None] = lambda _tick: None
 
 
-def eye(command: Run, link: Link, report: Callable[[str], None]) -> Eye:
+def eye(command: RunCommand, link: Link, report: Callable[[str], None]) -> OpenCamera:
     """The camera that the command names; a scene is drawn as seen from where the link says that the vehicle is."""
     if command.camera.startswith(SCENE):
         return scene_eye(command, link)
@@ -59,7 +59,7 @@ def eye(command: Run, link: Link, report: Callable[[str], None]) -> Eye:
     else:
         camera, suggested = RealTime(open_replay(command.camera, None, report)), {}
     lens = mount.intrinsics(*camera.size)
-    return Eye(
+    return OpenCamera(
         camera,
         lens,
         mount.down_rad,
@@ -68,7 +68,7 @@ def eye(command: Run, link: Link, report: Callable[[str], None]) -> Eye:
     )
 
 
-def scene_eye(command: Run, link: Link) -> Eye:
+def scene_eye(command: RunCommand, link: Link) -> OpenCamera:
     """A drawn scene of as long a flight as is asked for, with its own target when no other is named."""
     scenario = SCENARIOS[command.camera.removeprefix(SCENE)]
     scenario = replace(scenario, duration_s=max(command.seconds or LONG_S, scenario.duration_s))
@@ -80,10 +80,10 @@ def scene_eye(command: Run, link: Link) -> Eye:
 
     lens = camera.settings.intrinsics
     config = suited(command.config, command.named, lens, scenario.suggested)
-    return Eye(camera, lens, camera.settings.down_rad, target, config, true_box)
+    return OpenCamera(camera, lens, camera.settings.down_rad, target, config, true_box)
 
 
-def check(command: Run) -> None:
+def check(command: RunCommand) -> None:
     """Raise UsageError for what no vehicle is needed to refuse."""
     if command.target is not None:
         box_of(command.target)
@@ -94,13 +94,13 @@ def check(command: Run) -> None:
         raise UsageError(f"there is no scene {name!r}; there are {', '.join(SCENARIOS)}")
 
 
-def fly_live(command: Run) -> None:
+def fly_live(command: RunCommand) -> None:
     """`follow run`."""
     check(command)
     terminal = Terminal()
     # Until there is a flight to order, the signal must not do what it does by default: kill.
     signal.signal(signal.SIGUSR1, lambda _number, _frame: terminal.report("not ready yet: SIGUSR1 orders nothing"))
-    spoken = Spoken(terminal.report)
+    spoken = LogForwarder(terminal.report)
     log = logging.getLogger("follow")
     log.addHandler(spoken)
     log.setLevel(logging.INFO)

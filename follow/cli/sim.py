@@ -5,7 +5,7 @@ from collections.abc import Sequence, Set
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
-from follow.cli.commands import Sim
+from follow.cli.commands import SimCommand
 from follow.cli.settings import as_toml
 from follow.config import Config, suited
 from follow.control.servo import Servo
@@ -22,13 +22,13 @@ from racf.commandline import UsageError
 from racf.parallel import each
 from sim.plot import Strip, draw
 from sim.scenarios import SCENARIOS, build
-from sim.score import Row, score
+from sim.score import ScoredTick, score
 
 OUT = Path("out/sim")
 
 
 @dataclass(frozen=True, slots=True)
-class Flight:
+class FlightSpec:
     """One simulated flight."""
 
     scenario: str
@@ -45,7 +45,7 @@ class Flight:
         return f"{self.scenario}-{self.autopilot.value}-{self.seed}"
 
 
-def simulate(flight: Flight, terminal: Terminal, *, bar: bool) -> tuple[Figures, bool]:
+def simulate(flight: FlightSpec, terminal: Terminal, *, bar: bool) -> tuple[Figures, bool]:
     """Fly in the simulator; the summary, and whether it was flown to its end."""
     scenario, config = SCENARIOS[flight.scenario], flight.config
     camera, link, world = build(scenario, flight.seed, flight.autopilot)
@@ -54,7 +54,7 @@ def simulate(flight: Flight, terminal: Terminal, *, bar: bool) -> tuple[Figures,
     target, servo = Target(lens, down_rad, config.target), Servo(down_rad, config.servo)
     safety = Safety(config.limits)
     about = f"# follow sim {flight.scenario}\n\n{scenario.about}; seed {flight.seed}, {flight.autopilot.value}"
-    rows: list[Row] = []
+    rows: list[ScoredTick] = []
     strip = Strip(scenario.duration_s)
     with camera, Recorder(flight.out, config.record, terminal.report, waits=True, about=about) as recorder:
         recorder.settings(as_toml(config))
@@ -62,7 +62,7 @@ def simulate(flight: Flight, terminal: Terminal, *, bar: bool) -> tuple[Figures,
 
         def true_box(tick: Tick) -> Box | None:
             truth = camera.truth(tick.frame.index) if tick.frame else None
-            rows.append(Row.of(tick, link.vehicle.motion, truth))
+            rows.append(ScoredTick.of(tick, link.vehicle.motion, truth))
             if tick.frame is None or truth is None:
                 return None
             strip.add(tick.frame, truth.box, tick.track.box if tick.track else None)
@@ -87,7 +87,7 @@ def rounded(figures: Figures) -> Figures:
     return {name: round(value, 5) if isinstance(value, float) else value for name, value in known.items()}
 
 
-def sim(command: Sim) -> None:
+def sim(command: SimCommand) -> None:
     """`follow sim`."""
     terminal = Terminal()
     if command.list:
@@ -99,17 +99,19 @@ def sim(command: Sim) -> None:
     else:
         autopilot = command.autopilot or Autopilot.PX4
         out = command.out or OUT / command.scenario
-        flight = Flight(command.scenario, command.seed, autopilot, command.tracker, command.config, command.named, out)
+        flight = FlightSpec(
+            command.scenario, command.seed, autopilot, command.tracker, command.config, command.named, out
+        )
         figures, finished = simulate(flight, terminal, bar=True)
         conclude(figures, flight.out, terminal, as_json=command.json, finished=finished)
 
 
-def sim_all(command: Sim, scenarios: Sequence[str], terminal: Terminal) -> None:
+def sim_all(command: SimCommand, scenarios: Sequence[str], terminal: Terminal) -> None:
     """Every scenario with several seeds and both vehicles; without the pictures, which would fill the disk."""
     config = replace(command.config, record=replace(command.config.record, pictures=False))
     autopilots = [command.autopilot] if command.autopilot else list(Autopilot)
     flights = [
-        Flight(scenario, seed, autopilot, command.tracker, config, command.named, Path())
+        FlightSpec(scenario, seed, autopilot, command.tracker, config, command.named, Path())
         for scenario in scenarios
         for autopilot in autopilots
         for seed in range(command.seed, command.seed + command.seeds)
@@ -128,6 +130,6 @@ def sim_all(command: Sim, scenarios: Sequence[str], terminal: Terminal) -> None:
         sys.stdout.write(written)
 
 
-def simulate_quietly(flight: Flight) -> Figures:
+def simulate_quietly(flight: FlightSpec) -> Figures:
     """One flight of many, in a process of its own."""
     return simulate(flight, Terminal(), bar=False)[0]

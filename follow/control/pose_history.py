@@ -38,7 +38,7 @@ def blend(before: float, after: float, share: float) -> float:
 
 
 @dataclass(slots=True)
-class Motion:
+class PoseHistory:
     """The vehicle's recent attitudes and positions, each under the time it was measured."""
 
     attitudes: deque[VehicleState] = field(default_factory=lambda: deque[VehicleState](maxlen=MEMORY))

@@ -56,7 +56,10 @@ STEEPEST_RAD = math.radians(75.0)
 
 @dataclass(slots=True)
 class Servo:
-    """Estimate in, wish out.  `down_rad` is the camera's angle below the nose: it decides where the middle is."""
+    """Estimate in, desired setpoint out.
+
+    `down_rad` is the camera's angle below the nose: it decides where the middle is.
+    """
 
     down_rad: float
     config: ServoConfig = field(default_factory=ServoConfig)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from follow.control.pose_history import Motion, Pose
+from follow.control.pose_history import Pose, PoseHistory
 from follow.geometry import Array, Intrinsics, bearing, camera_to_ned, direction, project, wrap
 from follow.messages import NEVER, Estimate, VehicleState
 from follow.ranges import require_numbers
@@ -41,9 +41,11 @@ class TargetConfig:
     lost_after_s: float = 0.5  # unseen for so long, a box must prove itself ...
     confirm: int = 3  # ... in so many pictures in a row
     # Sharpness (PSR) over the target's usual one, measured on ten real sequences (docs/confidence.md):
-    lose_psr: float = 0.6  # less is not believed: 3 % of the pictures on the target, 97 % of looks elsewhere
-    regain_psr: float = 0.7  # ... nor, after a loss, less than this: 5 % and 99 %; and `confirm` in a row are asked
-    sharp_psr: float = 20.0  # ... usual counts as no more: a PSR of 15 is the target although it was 40 before
+    psr_ratio_lost: float = 0.6  # less is not believed: 3 % of the pictures on the target, 97 % of looks elsewhere
+    psr_ratio_regained: float = (
+        0.7  # ... nor, after a loss, less than this: 5 % and 99 %; and `confirm` in a row are asked
+    )
+    psr_cap: float = 20.0  # ... usual counts as no more: a PSR of 15 is the target although it was 40 before
     psr_rate: float = 0.01  # ... usual: the running mean over about three seconds of what was accepted
     settle: int = 5  # pictures until anything is usual: the very first response can be far sharper than any later one
     steady_s: float = 6.0  # an unseen target is thought to go on as it did for so long: past a wall or some trees ...
@@ -52,7 +54,16 @@ class TargetConfig:
     compensate: bool = True  # use the pose at the picture's time and predict over the delay
 
     def __post_init__(self) -> None:
-        may_be_zero = ("lost_after_s", "confirm", "lose_psr", "regain_psr", "psr_rate", "settle", "steady_s", "wait_s")
+        may_be_zero = (
+            "lost_after_s",
+            "confirm",
+            "psr_ratio_lost",
+            "psr_ratio_regained",
+            "psr_rate",
+            "settle",
+            "steady_s",
+            "wait_s",
+        )
         require_numbers("target setting", self, may_be_zero=may_be_zero)
 
 
@@ -68,7 +79,7 @@ class Filter:
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class GroundFix:
     """What one box says: place on the ground (2,) with covariance (2, 2); its angle; the slant range by the ground."""
 
     ground: Array
@@ -101,7 +112,7 @@ def corrected(f: Filter, place: Array, place_covariance: Array) -> Filter:
     return Filter(f.t_s, f.mean + gain @ (place - f.mean[:2]), covariance, f.size_m, f.size_var)
 
 
-def resized(f: Filter, place: Place, box_relative_std: float) -> Filter:
+def resized(f: Filter, place: GroundFix, box_relative_std: float) -> Filter:
     """The filter after flat ground's word on the true size (a scalar Kalman update); the ground may be silent."""
     if not math.isfinite(place.slant_std_m):
         return f
@@ -139,7 +150,7 @@ class Target:
     camera: Intrinsics
     down_rad: float
     config: TargetConfig = field(default_factory=TargetConfig)
-    motion: Motion = field(default_factory=Motion)
+    motion: PoseHistory = field(default_factory=PoseHistory)
     filter: Filter | None = None
     box: Box | None = None
     seen_t_s: float = NEVER
@@ -216,7 +227,7 @@ class Target:
                 return False
             lost = t_s - self.seen_t_s > c.lost_after_s
             settling = self.accepted < c.settle and not lost
-            asked = (c.regain_psr if lost else c.lose_psr) * min(self.usual_psr, c.sharp_psr)
+            asked = (c.psr_ratio_regained if lost else c.psr_ratio_lost) * min(self.usual_psr, c.psr_cap)
             if not settling and track.psr < asked:
                 return False
             if lost:
@@ -231,7 +242,7 @@ class Target:
         self.box, self.seen_t_s, self.proofs = box, t_s, 0
         return True
 
-    def plausible(self, f: Filter, place: Place, box: Box, pose: Pose) -> bool:
+    def plausible(self, f: Filter, place: GroundFix, box: Box, pose: Pose) -> bool:
         """Whether a box lies within the gate about the prediction, in place (Mahalanobis) and in size."""
         off = place.ground - f.mean[:2]
         spread = f.covariance[:2, :2] + place.covariance
@@ -265,7 +276,7 @@ class Target:
         mean[2:] *= math.exp(-unseen / c.coast_s)
         return replace(f, mean=mean)
 
-    def place(self, box: Box, pose: Pose, size_m: float, size_var: float) -> Place:
+    def place(self, box: Box, pose: Pose, size_m: float, size_var: float) -> GroundFix:
         """Where on the ground a box of a target of that size is, seen from `pose`."""
         c = self.config
         azimuth, depression = bearing(self.camera, self.rotation(pose), box.centre_x, box.centre_y)
@@ -284,7 +295,7 @@ class Target:
         across_std = math.hypot(range_m, pose.down_m) * c.bearing_std_rad
         spread = np.outer(toward, toward) * range_std**2 + np.outer(across, across) * across_std**2
         ground = np.array([pose.north_m, pose.east_m]) + range_m * toward
-        return Place(ground, spread, apparent_rad, slant, slant_std)
+        return GroundFix(ground, spread, apparent_rad, slant, slant_std)
 
     def estimate(self, state: VehicleState) -> Estimate:
         """The filter's answer for `state.t_s`, seen from where the vehicle is."""

@@ -13,13 +13,13 @@ from typing import Protocol
 
 from follow.camera import Camera
 from follow.camera.realtime import NewPictures
-from follow.flight.preflight import Finding, Verdict, check_disk, check_signing, check_time, check_vehicle
+from follow.flight.preflight import Finding, Health, check_disk, check_signing, check_time, check_vehicle
 from follow.flight.service import Service
 from follow.link import Link
 from follow.link.connection import MavlinkLink
-from follow.loop import Safety, Servo, Target, Tracker, follow
-from follow.messages import HOVER, NEVER, Estimate, Order, Tick
-from follow.operator.authority import Keys, Operator, Report, signals
+from follow.loop import BoxTracker, Controller, SetpointGate, TargetEstimator, follow
+from follow.messages import HOVER, NEVER, Estimate, Notify, Order, Tick
+from follow.operator.authority import Keys, Operator, signals
 from follow.safety.modes import Mode
 
 ROUND_S = 0.05  # 20 setpoints a second while ramping down: the usual rate for either autopilot
@@ -45,7 +45,7 @@ def engaging(ticks: Iterable[Tick], link: FlyingLink) -> Iterator[Tick]:
 
 
 def ramping_down(
-    link: Link, safety: Safety, pause: Callable[[], None], rounds: int = int(LEAVE_S / ROUND_S)
+    link: Link, safety: SetpointGate, pause: Callable[[], None], rounds: int = int(LEAVE_S / ROUND_S)
 ) -> Iterator[Tick]:
     """Rounds without a picture, which the gate answers by ramping to zero, until nothing is sent any more."""
     for _ in range(rounds):
@@ -65,10 +65,10 @@ class Parts:
 
     camera: Camera
     link: FlyingLink
-    tracker: Tracker
-    target: Target
-    servo: Servo
-    safety: Safety
+    tracker: BoxTracker
+    target: TargetEstimator
+    servo: Controller
+    safety: SetpointGate
 
 
 def wait_a_round() -> None:
@@ -122,7 +122,7 @@ def preflight(link: MavlinkLink, out: Path, *, signs: bool) -> list[Finding]:
     return [*findings, check_disk(out), check_time(signs, time.time()), check_signing(link.client, signs)]
 
 
-def unwaived(findings: Sequence[Finding], waived: Sequence[str], report: Report) -> tuple[str, ...]:
+def unwaived(findings: Sequence[Finding], waived: Sequence[str], report: Notify) -> tuple[str, ...]:
     """Say what is not well, and return what forbids to follow: each red line that `waived` does not name.
 
     Raises ValueError for a waiver of something that was not looked at.
@@ -131,16 +131,16 @@ def unwaived(findings: Sequence[Finding], waived: Sequence[str], report: Report)
     if unknown := [name for name in waived if name not in names]:
         raise ValueError(f"--waive {unknown[0]} names no check; there are {', '.join(names)}")
     for finding in findings:
-        if finding.verdict is not Verdict.OK:
+        if finding.verdict is not Health.OK:
             report(f"{finding}{' (waived)' if finding.name in waived else ''}")
-    red = (finding for finding in findings if finding.verdict is Verdict.RED and finding.name not in waived)
+    red = (finding for finding in findings if finding.verdict is Health.RED and finding.name not in waived)
     return tuple(f"{finding.name} is red" for finding in red)
 
 
-class Spoken(logging.Handler):
+class LogForwarder(logging.Handler):
     """What the parts log, as lines for a person."""
 
-    def __init__(self, report: Report) -> None:
+    def __init__(self, report: Notify) -> None:
         super().__init__(logging.INFO)
         self._report = report
 

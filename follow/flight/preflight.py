@@ -31,7 +31,7 @@ OLDEST = {Autopilot.PX4: (1, 14), Autopilot.ARDUPILOT: (4, 3)}  # the failsafe p
 SENSIBLE_UNIX_S = 1.7e9  # November 2023: a clock before this was never set
 
 
-class Verdict(str, Enum):
+class Health(str, Enum):
     """How bad it is."""
 
     OK = "ok"
@@ -44,7 +44,7 @@ class Finding:
     """One line of the doctor's: what was looked at, how bad it is, what was found, and what mends it."""
 
     name: str
-    verdict: Verdict
+    verdict: Health
     text: str
     fix: str = ""
 
@@ -58,7 +58,7 @@ class NotFitError(RuntimeError):
 
 def is_fit(findings: Iterable[Finding], waived: Sequence[str] = ()) -> bool:
     """Whether nothing is red but what was waived by name."""
-    return all(finding.verdict is not Verdict.RED or finding.name in waived for finding in findings)
+    return all(finding.verdict is not Health.RED or finding.name in waived for finding in findings)
 
 
 def check_vehicle(client: MavlinkClient, listen: Callable[[float], None], now: Callable[[], float]) -> list[Finding]:
@@ -93,12 +93,12 @@ def check_parameters(client: MavlinkClient, autopilot: Autopilot, listen: Callab
 def judge(parameter: Parameter, value: float | None) -> Finding:
     """One parameter's finding; None is a value that the autopilot did not tell."""
     if value is None:
-        verdict = Verdict.WARN if parameter.is_right is None else Verdict.RED
+        verdict = Health.WARN if parameter.is_right is None else Health.RED
         return Finding(parameter.name, verdict, "the autopilot does not tell it", "look whether it exists there")
     text = f"{value:g} ({parameter.meaning})"
     if parameter.is_right is None or parameter.is_right(value):
-        return Finding(parameter.name, Verdict.OK, text)
-    return Finding(parameter.name, Verdict.RED, f"{text}, wanted {parameter.wanted}", parameter.fix)
+        return Finding(parameter.name, Health.OK, text)
+    return Finding(parameter.name, Health.RED, f"{text}, wanted {parameter.wanted}", parameter.fix)
 
 
 def check_camera(
@@ -121,20 +121,20 @@ def check_camera(
             if time.monotonic() - began_s > seconds:
                 break
     except CameraError as error:
-        return [Finding("camera", Verdict.RED, str(error), "look whether the source delivers")]
+        return [Finding("camera", Health.RED, str(error), "look whether the source delivers")]
     if len(times) < 3 or times[-1] <= times[0]:
-        return [Finding("camera", Verdict.RED, f"{len(times)} pictures in {seconds:g} s", "look at cable and power")]
+        return [Finding("camera", Health.RED, f"{len(times)} pictures in {seconds:g} s", "look at cable and power")]
     rate = (len(times) - 1) / (times[-1] - times[0])
     gap_ms = 1e3 * max(after - before for before, after in itertools.pairwise(times))
     text = f"{rate:.1f} pictures/s, longest gap {gap_ms:.0f} ms"
     slow = rate < LEAST_FPS
-    findings = [Finding("camera", Verdict.RED if slow else Verdict.OK, text, "choose a faster mode" if slow else "")]
+    findings = [Finding("camera", Health.RED if slow else Health.OK, text, "choose a faster mode" if slow else "")]
     if now:
         age_s = statistics.median(ages)
         old = age_s > FRAME_AGE_S
         fix = "a shorter buffer, or a lower resolution" if old else ""
         text = f"pictures are {1e3 * age_s:.0f} ms old when they arrive"
-        findings.append(Finding("latency", Verdict.RED if old else Verdict.OK, text, fix))
+        findings.append(Finding("latency", Health.RED if old else Health.OK, text, fix))
     return findings
 
 
@@ -150,10 +150,10 @@ def check_tracker(update: Callable[[NDArray[np.uint8]], object], frames: Sequenc
     period_ms = 1e3 / fps
     text = f"{usual:.1f} ms a picture, 99 % within {worst:.1f} ms, of {period_ms:.1f} ms"
     if usual > period_ms:
-        return Finding("tracker", Verdict.RED, text, "a smaller picture, a lower rate, or --tracker racf--")
+        return Finding("tracker", Health.RED, text, "a smaller picture, a lower rate, or --tracker racf--")
     if worst > TRACKER_SHARE * period_ms:
-        return Finding("tracker", Verdict.WARN, f"{text}: little head-room", "a lower rate, or --tracker racf--")
-    return Finding("tracker", Verdict.OK, text)
+        return Finding("tracker", Health.WARN, f"{text}: little head-room", "a lower rate, or --tracker racf--")
+    return Finding("tracker", Health.OK, text)
 
 
 def check_disk(folder: Path) -> Finding:
@@ -162,15 +162,15 @@ def check_disk(folder: Path) -> Finding:
     free = shutil.disk_usage(existing).free
     text = f"{free / 1e9:.1f} GB free for {folder}"
     if free < NO_DISK:
-        return Finding("disk", Verdict.RED, text, "make room, or another --out")
-    return Finding("disk", Verdict.WARN if free < LITTLE_DISK else Verdict.OK, text)
+        return Finding("disk", Health.RED, text, "make room, or another --out")
+    return Finding("disk", Health.WARN if free < LITTLE_DISK else Health.OK, text)
 
 
 def check_time(signs: bool, unix_s: float) -> Finding:
     """The machine's calendar: recordings bear it, and signatures are refused without it."""
     if unix_s > SENSIBLE_UNIX_S:
-        return Finding("clock", Verdict.OK, time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(unix_s)))
-    verdict = Verdict.RED if signs else Verdict.WARN
+        return Finding("clock", Health.OK, time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(unix_s)))
+    verdict = Health.RED if signs else Health.WARN
     return Finding("clock", verdict, "the machine's clock was never set", "timedatectl set-ntp true")
 
 
@@ -178,21 +178,21 @@ def check_signing(client: MavlinkClient, signs: bool) -> Finding:
     """Whether the link is signed and whether the vehicle's packets are accepted."""
     refused = client.packets.refused
     if not signs:
-        return Finding("signing", Verdict.WARN, "off: anyone on this link can fly the vehicle", "--signing-key FILE")
+        return Finding("signing", Health.WARN, "off: anyone on this link can fly the vehicle", "--signing-key FILE")
     if refused and not client.heard.counts:
         fix = "give the autopilot the same key"
-        return Finding("signing", Verdict.RED, f"all {refused} packets were refused", fix)
-    return Finding("signing", Verdict.OK, f"on, {refused} packets refused")
+        return Finding("signing", Health.RED, f"all {refused} packets were refused", fix)
+    return Finding("signing", Health.OK, f"on, {refused} packets refused")
 
 
 def _nobody(client: MavlinkClient) -> Finding:
     if client.packets.refused:
         text = f"{client.packets.refused} packets with a wrong signature or none"
-        return Finding("link", Verdict.RED, text, "give both sides the same key")
+        return Finding("link", Health.RED, text, "give both sides the same key")
     if client.packets.unreadable:
         text = f"{client.packets.unreadable} bytes, but no packet in them"
-        return Finding("link", Verdict.RED, text, "look at the baud rate")
-    return Finding("link", Verdict.RED, "no PX4 or ArduPilot multirotor is heard", "look at address, cable and power")
+        return Finding("link", Health.RED, text, "look at the baud rate")
+    return Finding("link", Health.RED, "no PX4 or ArduPilot multirotor is heard", "look at address, cable and power")
 
 
 def _autopilot(client: MavlinkClient, now_s: float) -> Finding:
@@ -201,21 +201,21 @@ def _autopilot(client: MavlinkClient, now_s: float) -> Finding:
     name = f"{state.autopilot.value}, system {client.vehicle_id}, mode {state.mode}"
     version = client.heard.version
     if version is None:
-        return Finding("autopilot", Verdict.WARN, f"{name}, version not told")
+        return Finding("autopilot", Health.WARN, f"{name}, version not told")
     number = version.flight_sw_version >> 24, version.flight_sw_version >> 16 & 0xFF
     text = f"{name}, version {number[0]}.{number[1]}.{version.flight_sw_version >> 8 & 0xFF}"
     if number < OLDEST[state.autopilot]:
         oldest = ".".join(map(str, OLDEST[state.autopilot]))
-        return Finding("autopilot", Verdict.WARN, f"{text} is older than {oldest}", "update its firmware")
-    return Finding("autopilot", Verdict.OK, text)
+        return Finding("autopilot", Health.WARN, f"{text} is older than {oldest}", "update its firmware")
+    return Finding("autopilot", Health.OK, text)
 
 
 def _rates(client: MavlinkClient, before: dict[str, int]) -> list[Finding]:
     findings: list[Finding] = []
     for name, least_hz in LEAST_HZ.items():
         rate_hz = (client.heard.counts[name] - before.get(name, 0)) / LISTEN_S
-        verdict = Verdict.OK if rate_hz >= least_hz else Verdict.RED
-        fix = "" if verdict is Verdict.OK else "a faster link, or fewer other streams on it"
+        verdict = Health.OK if rate_hz >= least_hz else Health.RED
+        fix = "" if verdict is Health.OK else "a faster link, or fewer other streams on it"
         findings.append(Finding(name.lower(), verdict, f"{rate_hz:.1f} a second, at least {least_hz:g}", fix))
     return findings
 
@@ -225,30 +225,30 @@ def _others(client: MavlinkClient) -> list[Finding]:
     steering = sorted(client.heard.steering)
     if steering:
         text = ", ".join(f"system {system} component {component}" for system, component in steering)
-        findings.append(Finding("second-sender", Verdict.RED, f"{text} steers this vehicle, too", "stop that program"))
+        findings.append(Finding("second-sender", Health.RED, f"{text} steers this vehicle, too", "stop that program"))
     else:
-        findings.append(Finding("second-sender", Verdict.OK, "nobody else is heard steering"))
+        findings.append(Finding("second-sender", Health.OK, "nobody else is heard steering"))
     twins = sorted(client.heard.companions)
     if twins:
         text = ", ".join(f"system {system} component {component}" for system, component in twins)
-        findings.append(Finding("companions", Verdict.WARN, f"{text} is another onboard computer"))
+        findings.append(Finding("companions", Health.WARN, f"{text} is another onboard computer"))
     if len(client.heard.vehicles) > 1:
         ids = ", ".join(map(str, sorted(client.heard.vehicles)))
-        findings.append(Finding("vehicles", Verdict.WARN, f"systems {ids} are heard", "--system-id N to be sure"))
+        findings.append(Finding("vehicles", Health.WARN, f"systems {ids} are heard", "--system-id N to be sure"))
     return findings
 
 
 def _clock(client: MavlinkClient) -> Finding:
     clock = client.clock
     if clock.offset_s is None:
-        return Finding("timesync", Verdict.WARN, "no answer: measurements count from their arrival")
-    return Finding("timesync", Verdict.OK, f"the vehicle's clock is known within {500 * clock.round_trip_s:.1f} ms")
+        return Finding("timesync", Health.WARN, "no answer: measurements count from their arrival")
+    return Finding("timesync", Health.OK, f"the vehicle's clock is known within {500 * clock.round_trip_s:.1f} ms")
 
 
 def _battery(client: MavlinkClient) -> Finding:
     status = client.heard.status
     if status is None or status.battery_remaining < 0:
-        return Finding("battery", Verdict.WARN, "the autopilot does not tell it")
+        return Finding("battery", Health.WARN, "the autopilot does not tell it")
     low = status.battery_remaining < BATTERY_PERCENT
     fix = "charge it" if low else ""
-    return Finding("battery", Verdict.WARN if low else Verdict.OK, f"{status.battery_remaining} %", fix)
+    return Finding("battery", Health.WARN if low else Health.OK, f"{status.battery_remaining} %", fix)

@@ -18,7 +18,7 @@ from follow.link.clock import VehicleClock
 from follow.link.flight_modes import MODES_OF, ModeNames, mode_params
 from follow.link.packets import Message, Packets
 from follow.link.signing import Signing
-from follow.link.telemetry import AUTOPILOT, Heard, VehicleReports
+from follow.link.telemetry import AUTOPILOT, LinkObservations, TelemetryDecoder
 from follow.messages import NEVER, Autopilot, Setpoint, VehicleState
 
 FRAME = dialect.MAV_FRAME_BODY_NED  # 8: the frame that both obey as "forward, right, down from the heading"
@@ -57,7 +57,7 @@ class TelemetryRates:
 
 
 @dataclass(slots=True)
-class _Ask:
+class ModeRequest:
     """A mode asked for: repeated while nobody answers and the vehicle stays in one of `from_modes`.
 
     Only a heartbeat later than `told_t_s` says anything of it.
@@ -82,11 +82,11 @@ class MavlinkClient:
         self, system_id: int | None = None, rates: TelemetryRates | None = None, signing: Signing | None = None
     ):
         self.packets = Packets(system_id or 1, COMPANION, signing)
-        self._vehicle = VehicleReports(system_id)
+        self._vehicle = TelemetryDecoder(system_id)
         self._rates = rates or TelemetryRates()
         self._in_control = False
         self._commanded_mode = ""
-        self._ask: _Ask | None = None
+        self._ask: ModeRequest | None = None
         self._stream_since_t_s = NEVER
         self._stream_t_s = NEVER
         self._done_t_s: dict[str, float] = {}
@@ -99,7 +99,7 @@ class MavlinkClient:
         return self._vehicle.system_id
 
     @property
-    def heard(self) -> Heard:
+    def heard(self) -> LinkObservations:
         """What else was heard on the link."""
         return self._vehicle.heard
 
@@ -240,9 +240,9 @@ class MavlinkClient:
         now = self._vehicle.state
         # PX4 tells a mode up to 1 s late: when Hold is asked for, the mode that obeys us may be yet to be told.
         from_modes = (now.mode,) if mode == self._names().control else (now.mode, self._names().control)
-        self._ask = _Ask(mode, from_modes, told_t_s=now.heartbeat_t_s)
+        self._ask = ModeRequest(mode, from_modes, told_t_s=now.heartbeat_t_s)
 
-    def _pursue(self, ask: _Ask, t_s: float) -> None:
+    def _pursue(self, ask: ModeRequest, t_s: float) -> None:
         """Send the request when it may be sent; drop it when it was answered in vain or the vehicle moved on."""
         autopilot = self._vehicle.state.autopilot
         if t_s < ask.next_t_s or autopilot is None:

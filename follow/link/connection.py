@@ -17,7 +17,7 @@ from follow.link.client import MavlinkClient, TelemetryRates
 from follow.link.packets import Message
 from follow.link.signing import Signing
 from follow.link.tlog import Tlog
-from follow.link.transports import Source, Wire, open_wire
+from follow.link.transports import Source, Transport, open_transport
 from follow.messages import NEVER, Setpoint, VehicleState
 
 log = logging.getLogger(__name__)
@@ -31,7 +31,7 @@ class MavlinkLink:
 
     def __init__(
         self,
-        wire: Wire,
+        wire: Transport,
         system_id: int | None = None,
         rates: TelemetryRates | None = None,
         signing: Signing | None = None,
@@ -176,4 +176,4 @@ def connect(
         from follow.link.mavsdk_transport import open_mavsdk  # noqa: PLC0415 (a large library that other links do without)
 
         return MavlinkLink(open_mavsdk(uri, system_id), system_id, rates, signing, tlog)
-    return MavlinkLink(open_wire(uri), system_id, rates, signing, tlog)
+    return MavlinkLink(open_transport(uri), system_id, rates, signing, tlog)

@@ -26,7 +26,7 @@ KINDS: dict[str, Callable[..., Message]] = {kind.msgname: kind for kind in diale
 FIELDS = {kind.msgname: kind.fieldnames for kind in dialect.mavlink_map.values()}
 
 
-class MavsdkWire:
+class MavsdkTransport:
     """A connection in MAVSDK's own notation: `udpin://HOST:PORT`, `udpout://...`, `tcpout://...`, `serial://DEVICE:BAUD`.
 
     Blocks up to `timeout_s` until an autopilot is heard.  Raises LinkError when there is none or MAVSDK refuses.
@@ -103,9 +103,9 @@ class MavsdkWire:
         self._arrived.put(codec.write(message))
 
 
-def open_mavsdk(uri: str, system_id: int | None = None) -> MavsdkWire:
+def open_mavsdk(uri: str, system_id: int | None = None) -> MavsdkTransport:
     """Open `mavsdk+URL`."""
-    return MavsdkWire(uri.removeprefix("mavsdk+"), system_id)
+    return MavsdkTransport(uri.removeprefix("mavsdk+"), system_id)
 
 
 def _from_json(value: object) -> object:

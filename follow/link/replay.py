@@ -16,7 +16,9 @@ from follow.messages import HOVER, Autopilot, Setpoint, VehicleState
 YAW_TAU_S = 0.37  # 0.45 and 0.29 to 0.5 rad/s
 SPEED_TAU_S = 0.77  # 0.67 and 0.87 to 2 m/s
 CLIMB_TAU_S = 0.55  # 0.31 and 0.79 to 1 m/s
-FASTEST_M_S = 20.0  # beyond PX4's MPC_XY_VEL_MAX (12) and ArduPilot's usual WPNAV_SPEED limit: not a follow-me's wish
+FASTEST_M_S = (
+    20.0  # beyond PX4's MPC_XY_VEL_MAX (12) and ArduPilot's usual WPNAV_SPEED limit: not what a follow-me asks for
+)
 FASTEST_YAW_RAD_S = math.radians(
     200.0
 )  # PX4's MPC_MAN_Y_MAX default range ends at 400, ArduPilot's ATC_SLEW_YAW at 180

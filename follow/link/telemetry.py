@@ -34,7 +34,7 @@ SETPOINT_TYPES = {
 
 
 @dataclass(slots=True)
-class Heard:
+class LinkObservations:
     """What a person may want to know about the link, beside the vehicle's state."""
 
     counts: Counter[str] = field(default_factory=Counter[str])  # the vehicle's messages by type
@@ -50,7 +50,7 @@ class Heard:
     status: dialect.MAVLink_sys_status_message | None = None  # SYS_STATUS
 
 
-class VehicleReports:
+class TelemetryDecoder:
     """Listens for one vehicle: the PX4 or ArduPilot multirotor of `system_id`, or the first heard when None.
 
     Everything else on the link (ground stations, cameras, other companions) is noted and not believed.
@@ -59,7 +59,7 @@ class VehicleReports:
     def __init__(self, system_id: int | None = None):
         self.system_id: int | None = None
         self.state = VehicleState(t_s=NEVER)
-        self.heard = Heard()
+        self.heard = LinkObservations()
         self.clock = VehicleClock()
         self._wanted_id = system_id
 

@@ -25,7 +25,7 @@ READ_BYTES = 65536
 Source = tuple[str, int] | None
 
 
-class Wire(Protocol):
+class Transport(Protocol):
     """One way in and out.  `datagrams` says that what is read at once is whole packets."""
 
     datagrams: bool
@@ -47,7 +47,7 @@ class Wire(Protocol):
         ...
 
 
-def open_wire(uri: str) -> Wire:
+def open_transport(uri: str) -> Transport:
     """Open the way that `uri` names; raises LinkError when it is written wrongly or cannot be opened."""
     kind, _, rest = uri.partition(":")
     name, _, number = rest.rpartition(":")
@@ -57,13 +57,13 @@ def open_wire(uri: str) -> Wire:
         )
     try:
         if kind in ("udpin", "udpout"):
-            return UdpWire(name, int(number), listens=kind == "udpin")
-        return TcpWire(name, int(number)) if kind == "tcp" else SerialWire(name, int(number))
+            return UdpTransport(name, int(number), listens=kind == "udpin")
+        return TcpTransport(name, int(number)) if kind == "tcp" else SerialTransport(name, int(number))
     except (OSError, OverflowError, termios.error) as error:
         raise LinkError(f"the link {uri} cannot be opened: {error}") from None
 
 
-class UdpWire:
+class UdpTransport:
     """A UDP socket."""
 
     datagrams = True
@@ -107,7 +107,7 @@ class UdpWire:
         self._socket.close()
 
 
-class _StreamWire(ABC):
+class _StreamTransport(ABC):
     """What a TCP connection and a serial line share: a file descriptor that may be lost and opened again."""
 
     datagrams = False
@@ -167,7 +167,7 @@ class _StreamWire(ABC):
                 self._file = self._open()
 
 
-class TcpWire(_StreamWire):
+class TcpTransport(_StreamTransport):
     """A TCP connection that we make."""
 
     def __init__(self, host: str, port: int):
@@ -181,7 +181,7 @@ class TcpWire(_StreamWire):
         return connection.detach()
 
 
-class SerialWire(_StreamWire):
+class SerialTransport(_StreamTransport):
     """A serial line, 8N1 without flow control."""
 
     def __init__(self, device: str, baud: int):

@@ -18,10 +18,8 @@ from typing import Protocol
 
 from typing_extensions import Self
 
-from follow.messages import NEVER, Order, Tick, VehicleState
+from follow.messages import NEVER, Notify, Order, Tick, VehicleState
 from follow.safety.modes import STREAMING, Mode
-
-Report = Callable[[str], None]
 
 SWITCH_ON_US = 1700  # PWM of a switch: the usual thirds of 1000..2000
 SWITCH_OFF_US = 1300
@@ -34,7 +32,7 @@ KEYS = {"f": Order.FOLLOW, "o": Order.OBSERVE, " ": Order.OBSERVE}
 """Keys in the terminal; `q` leaves."""
 
 
-class Heard(Protocol):
+class RemoteObservations(Protocol):
     """What the operator's side needs of the link, as `follow.link.telemetry.Heard` has it."""
 
     rc_channels: tuple[int, ...]
@@ -81,10 +79,10 @@ class Operator:
     `at_once` orders FOLLOW when the checks are first green, once.  `red` says what forbids to follow.
     """
 
-    report: Report
+    report: Notify
     at_once: bool = False
     channel: int | None = None
-    heard: Heard | None = None
+    heard: RemoteObservations | None = None
     red: tuple[str, ...] = ()
     aim: Callable[[], object] = lambda: None  # called as FOLLOW is ordered
     leaving: str = ""  # why the program is to end, empty while it is not

@@ -17,16 +17,15 @@ from typing import TYPE_CHECKING, BinaryIO
 
 from typing_extensions import Self
 
-from follow.messages import Tick
+from follow.messages import Notify, Tick
 from follow.ranges import require_numbers
 from follow.recording.rows import header, row
 from follow.recording.summary import Figures, Summary
 from racf.box import Box
 
 if TYPE_CHECKING:
-    from follow.recording.rerun_log import Explanation, Scene
+    from follow.recording.rerun_log import LoggedTick, RerunRecording
 
-Report = Callable[[str], None]
 
 FILES = ("flight.rrd", "flight.tlog", "ticks.csv", "settings.toml", "summary.json")
 """What a flight leaves in its folder."""
@@ -64,7 +63,7 @@ def set_aside(out: Path) -> Path | None:
 class Recorder:
     """Writes one flight into `out`.  Raises OSError when the folder or a file in it cannot be made."""
 
-    def __init__(self, out: Path, config: RecordConfig, report: Report, *, waits: bool, about: str = "") -> None:
+    def __init__(self, out: Path, config: RecordConfig, report: Notify, *, waits: bool, about: str = "") -> None:
         try:
             out.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -80,7 +79,7 @@ class Recorder:
         self._change = threading.Condition()
         self._texts: deque[str] = deque()
         self._scenes: deque[tuple[int, Tick, Box | None]] = deque()
-        self._said: deque[Callable[[Explanation], None]] = deque()
+        self._said: deque[Callable[[RerunRecording], None]] = deque()
         self._closing = False
         self._count = 0
         self._worker = threading.Thread(target=self._work, name="recorder", daemon=True)
@@ -128,17 +127,17 @@ class Recorder:
         file.close()
         return whole
 
-    def _say(self, say: "Callable[[Explanation], None]") -> None:
+    def _say(self, say: "Callable[[RerunRecording], None]") -> None:
         with self._change:
             self._said.append(say)
             self._change.notify_all()
 
     def _work(self) -> None:
-        from follow.recording.rerun_log import Explanation  # noqa: PLC0415 - Rerun takes a second to load; the loop goes on
+        from follow.recording.rerun_log import RerunRecording  # noqa: PLC0415 - Rerun takes a second to load; the loop goes on
 
-        explanation: Explanation | None = None
+        explanation: RerunRecording | None = None
         if self._config.pictures:
-            explanation = Explanation(self._flight, self._about, self._config.jpeg_quality)
+            explanation = RerunRecording(self._flight, self._about, self._config.jpeg_quality)
         going = True
         while going:
             texts, scene, said, going = self._next()
@@ -150,24 +149,24 @@ class Recorder:
                 self._report(str(error))
                 explanation = None
 
-    def _next(self) -> "tuple[list[str], Scene | None, list[Callable[[Explanation], None]], bool]":
+    def _next(self) -> "tuple[list[str], LoggedTick | None, list[Callable[[RerunRecording], None]], bool]":
         """Wait for something to write: rows, a scene, what else was said, and whether more may come."""
-        from follow.recording.rerun_log import Scene  # noqa: PLC0415 - as above
+        from follow.recording.rerun_log import LoggedTick  # noqa: PLC0415 - as above
 
         with self._change:
             self._change.wait_for(lambda: self._texts or self._scenes or self._said or self._closing)
             texts, said = list(self._texts), list(self._said)
             self._texts.clear()
             self._said.clear()
-            scene = Scene(*self._scenes.popleft()) if self._scenes else None
+            scene = LoggedTick(*self._scenes.popleft()) if self._scenes else None
             self._change.notify_all()
             return texts, scene, said, not self._closing or scene is not None
 
     @staticmethod
     def _explain(
-        explanation: "Explanation",
-        scene: "Scene | None",
-        said: "list[Callable[[Explanation], None]]",
+        explanation: "RerunRecording",
+        scene: "LoggedTick | None",
+        said: "list[Callable[[RerunRecording], None]]",
         *,
         close: bool,
     ) -> None:
@@ -193,7 +192,7 @@ class Recorder:
 class _File:
     """A file whose failure is one line, once; after it nothing more is written, and the flight goes on."""
 
-    def __init__(self, path: Path, report: Report) -> None:
+    def __init__(self, path: Path, report: Notify) -> None:
         self._path, self._report = path, report
         self._file: BinaryIO | None = path.open("wb")
 

@@ -20,12 +20,12 @@ from racf.track import Track
 FLUSH_TIMEOUT_S = 5.0  # a disk that is busy for longer is taken for broken
 
 GREEN, RED, YELLOW, GREY, BLUE = (80, 220, 100), (240, 70, 60), (250, 210, 60), (150, 150, 150), (90, 160, 255)
-WISH = [(150, 200, 255), (255, 205, 150), (190, 230, 190)]  # pale: what the servo wished ...
+DESIRED = [(150, 200, 255), (255, 205, 150), (190, 230, 190)]  # pale: what the servo desired ...
 SENT = [(40, 110, 230), (230, 120, 20), (30, 150, 60)]  # ... and full: what was sent, forward, right, down
 
 
 @dataclass(frozen=True, slots=True)
-class Scene:
+class LoggedTick:
     """A tick with its number and, where annotations are known, the true box in its picture."""
 
     n: int
@@ -33,7 +33,7 @@ class Scene:
     truth: Box | None = None
 
 
-class Explanation:
+class RerunRecording:
     """A Rerun recording in a file; use it from one thread.
 
     `flush` and `close` raise OSError when it cannot be written.
@@ -51,7 +51,7 @@ class Explanation:
         self._shown: set[str] = set()
         self._describe(about)
 
-    def tick(self, scene: Scene) -> None:
+    def tick(self, scene: LoggedTick) -> None:
         """Log one round."""
         tick = scene.tick
         self._t_s = tick.state.t_s
@@ -131,8 +131,8 @@ class Explanation:
 
     def _controls(self, tick: Tick) -> None:
         log = self._recording.log
-        log("wish/velocity", rr.Scalars(_velocity(tick.wish)))
-        log("wish/yaw_rate", rr.Scalars(np.degrees(tick.wish.yaw_rate_rad_s)))
+        log("desired/velocity", rr.Scalars(_velocity(tick.desired)))
+        log("desired/yaw_rate", rr.Scalars(np.degrees(tick.desired.yaw_rate_rad_s)))
         if (sent := tick.decision.setpoint) is not None:
             log("setpoint/velocity", rr.Scalars(_velocity(sent)))
             log("setpoint/yaw_rate", rr.Scalars(np.degrees(sent.yaw_rate_rad_s)))
@@ -164,9 +164,9 @@ class Explanation:
         say("track/confidence", rr.SeriesLines(names=["confidence", "found", "refined"], colors=[GREEN, GREY, BLUE]))
         say("track/sharpness", rr.SeriesLines(names=["PSR", "APCE"], colors=[GREEN, YELLOW]))
         axes = ("forward", "right", "down")
-        say("wish/velocity", rr.SeriesLines(names=[f"wish {a}" for a in axes], colors=WISH))
+        say("desired/velocity", rr.SeriesLines(names=[f"desired {a}" for a in axes], colors=DESIRED))
         say("setpoint/velocity", rr.SeriesLines(names=[f"sent {a}" for a in axes], colors=SENT))
-        say("wish/yaw_rate", rr.SeriesLines(names=["wish"], colors=[WISH[0]]))
+        say("desired/yaw_rate", rr.SeriesLines(names=["desired"], colors=[DESIRED[0]]))
         say("setpoint/yaw_rate", rr.SeriesLines(names=["sent"], colors=[SENT[0]]))
 
 
@@ -189,10 +189,12 @@ def layout(play_state: Literal["paused", "playing", "following"] = "paused") -> 
         ),
         rrb.TimeSeriesView(origin="/track/confidence", name="Confidence 0..1"),
         rrb.TimeSeriesView(
-            origin="/", contents=["/wish/velocity", "/setpoint/velocity"], name="Velocity: wish and setpoint, m/s"
+            origin="/", contents=["/desired/velocity", "/setpoint/velocity"], name="Velocity: desired and setpoint, m/s"
         ),
         rrb.TimeSeriesView(
-            origin="/", contents=["/wish/yaw_rate", "/setpoint/yaw_rate"], name="Yaw rate: wish and setpoint, degrees/s"
+            origin="/",
+            contents=["/desired/yaw_rate", "/setpoint/yaw_rate"],
+            name="Yaw rate: desired and setpoint, degrees/s",
         ),
         rrb.Tabs(
             rrb.TimeSeriesView(origin="/timings", name="Time of each stage, ms"),

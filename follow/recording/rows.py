@@ -25,7 +25,7 @@ COLUMNS = (
     *(f"vehicle_{name}" for name in _STATE),
     *("vehicle_mode", "vehicle_in_control", "vehicle_armed"),
     *(f"target_{name}" for name in _ESTIMATE),
-    *(f"wish_{name}" for name in _SETPOINT),
+    *(f"desired_{name}" for name in _SETPOINT),
     *(f"setpoint_{name}" for name in _SETPOINT),
     *("mode", "notes"),
 )
@@ -45,7 +45,7 @@ def row(n: int, tick: Tick) -> str:
         *_values(tick.state, _STATE),
         *(_word(tick.state.mode), _text(tick.state.in_control), _text(tick.state.armed)),
         *_values(tick.estimate, _ESTIMATE),
-        *_values(tick.wish, _SETPOINT),
+        *_values(tick.desired, _SETPOINT),
         *(_values(tick.decision.setpoint, _SETPOINT) if tick.decision.setpoint else [""] * len(_SETPOINT)),
         *(_word(tick.decision.mode), _word("; ".join(tick.decision.notes))),
     )

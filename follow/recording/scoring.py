@@ -12,7 +12,7 @@ from racf.evaluate.boxfiles import read_boxes
 from racf.evaluate.metrics import Boxes, Convention, score
 
 
-class Truth:
+class Annotations:
     """The true boxes of a footage.  The file is 1-based, as benchmarks are; everything given out is 0-based.
 
     Raises ValueError when the first row holds no box: it starts the tracker.
@@ -37,13 +37,13 @@ class Truth:
         return Box(x - 1, y - 1, w, h) if good else None
 
 
-class Footage:
+class FootageScore:
     """Gathers boxes tick by tick over footage of size `whole`.
 
     `window` says which part of it the camera shows now; None when it shows all.
     """
 
-    def __init__(self, truth: Truth | None, whole: Box, window: Callable[[], Box] | None = None) -> None:
+    def __init__(self, truth: Annotations | None, whole: Box, window: Callable[[], Box] | None = None) -> None:
         self._truth = truth
         self._window = window or (lambda: whole)
         self._closed_loop = window is not None

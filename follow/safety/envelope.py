@@ -28,10 +28,10 @@ def approach_speed(room_m: float, accel_m_s2: float) -> float:
 
 
 def in_view(forward: float, right: float, limits: Limits) -> tuple[float, float]:
-    """The velocity with its part outside the camera's horizontal view no faster than `blind_m_s`.
+    """The velocity with its part outside the camera's horizontal view no faster than `out_of_view_m_s`.
 
     The view is a cone about the nose; the part inside is the velocity's projection on the cone, so a small turn of
-    the wish never makes a jump.
+    the desired setpoint never makes a jump.
     """
     half = limits.half_view_rad
     angle = math.atan2(right, forward)
@@ -40,14 +40,16 @@ def in_view(forward: float, right: float, limits: Limits) -> tuple[float, float]
     edge = math.cos(half), math.copysign(math.sin(half), right)
     inside = max(forward * edge[0] + right * edge[1], 0.0)
     out = forward - inside * edge[0], right - inside * edge[1]
-    keep = min(1.0, limits.blind_m_s / max(math.hypot(*out), 1e-9))
+    keep = min(1.0, limits.out_of_view_m_s / max(math.hypot(*out), 1e-9))
     return inside * edge[0] + keep * out[0], inside * edge[1] + keep * out[1]
 
 
-def apart(forward: float, right: float, estimate: Estimate, state: VehicleState, limits: Limits) -> tuple[float, float]:
+def limit_closing_speed(
+    forward: float, right: float, estimate: Estimate, state: VehicleState, limits: Limits
+) -> tuple[float, float]:
     """The velocity with its closing speed such that the stand-off can be kept, were the target nearer than believed."""
     above = max(-state.down_m - HEAD_M, 0.0)
-    needed = math.sqrt(max(limits.standoff_m**2 - above**2, 0.0))
+    needed = math.sqrt(max(limits.min_standoff_m**2 - above**2, 0.0))
     if needed == 0:
         return forward, right
     room = estimate.range_m - limits.range_sigmas * estimate.range_std_m - needed
@@ -60,7 +62,7 @@ def apart(forward: float, right: float, estimate: Estimate, state: VehicleState,
     return forward - excess * c, right - excess * s
 
 
-def fenced(north: float, east: float, out: tuple[float, float], limits: Limits) -> tuple[float, float]:
+def limit_to_fence(north: float, east: float, out: tuple[float, float], limits: Limits) -> tuple[float, float]:
     """The velocity held inside the fence; `out` is the place (north, east) from the fence's centre."""
     distance = math.hypot(*out)
     if distance == 0:
@@ -70,11 +72,11 @@ def fenced(north: float, east: float, out: tuple[float, float], limits: Limits) 
     return north - excess * n, east - excess * e
 
 
-def banded(down: float, estimate: Estimate, state: VehicleState, limits: Limits) -> float:
+def limit_altitude(down: float, estimate: Estimate, state: VehicleState, limits: Limits) -> float:
     """The downward speed held inside the altitude band, and above the target's head by the stand-off."""
     height = -state.down_m
     fastest_down = approach_speed(height - limits.floor_m, limits.climb_accel_m_s2)
-    overhead = math.sqrt(max(limits.standoff_m**2 - estimate.range_m**2, 0.0))
+    overhead = math.sqrt(max(limits.min_standoff_m**2 - estimate.range_m**2, 0.0))
     if overhead > 0:
         room = max(height - HEAD_M - overhead, 0.0)
         fastest_down = min(fastest_down, approach_speed(room, limits.climb_accel_m_s2))
@@ -90,17 +92,17 @@ def bounded(
     start: tuple[float, float],
     limits: Limits,
 ) -> tuple[tuple[float, float, float], tuple[str, ...]]:
-    """What may be flown of a wish: NED velocity, and the names of the limits that took something from it."""
-    steps = [("wish", (want.forward_m_s, want.right_m_s))]
+    """What may be flown of a desired setpoint: NED velocity, and the names of the limits that cut it."""
+    steps = [("desired", (want.forward_m_s, want.right_m_s))]
     over = max(math.hypot(*steps[-1][1]) / speed_m_s, 1.0)
     steps.append(("speed", (want.forward_m_s / over, want.right_m_s / over)))
     steps.append(("view", in_view(*steps[-1][1], limits)))
-    steps.append(("stand-off", apart(*steps[-1][1], estimate, state, limits)))
+    steps.append(("stand-off", limit_closing_speed(*steps[-1][1], estimate, state, limits)))
     c, s = math.cos(state.yaw_rad), math.sin(state.yaw_rad)
     forward, right = steps[-1][1]
     level = c * forward - s * right, s * forward + c * right
-    fence = fenced(*level, (state.north_m - start[0], state.east_m - start[1]), limits)
-    down = banded(want.down_m_s, estimate, state, limits)
+    fence = limit_to_fence(*level, (state.north_m - start[0], state.east_m - start[1]), limits)
+    down = limit_altitude(want.down_m_s, estimate, state, limits)
     acted = [name for (_, before), (name, after) in pairwise(steps) if before != after]
     acted += ["fence"] * (fence != level) + ["altitude"] * (down != want.down_m_s)
     return (*fence, down), tuple(f"held by the {name} limit" for name in acted)

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field, replace
 
 from follow.geometry import wrap
 from follow.messages import NEVER, Decision, Estimate, Order, Setpoint, VehicleState
-from follow.safety.envelope import apart, banded, bounded
+from follow.safety.envelope import bounded, limit_altitude, limit_closing_speed
 from follow.safety.limits import Limits
 from follow.safety.modes import FLYING, STREAMING, Event, Mode, after
-from follow.safety.ramps import Rate, Velocity
+from follow.safety.ramps import VelocityRamp, YawRateRamp
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,9 +25,9 @@ class Gate:
     mode: Mode = Mode.OBSERVE
     t_s: float = NEVER
     since_s: float = NEVER
-    horizontal: Velocity = field(default_factory=Velocity)
-    down: Velocity = field(default_factory=lambda: Velocity((0.0,)))
-    yaw: Rate = field(default_factory=Rate)
+    horizontal: VelocityRamp = field(default_factory=VelocityRamp)
+    down: VelocityRamp = field(default_factory=lambda: VelocityRamp((0.0,)))
+    yaw: YawRateRamp = field(default_factory=YawRateRamp)
     start_north_m: float = 0.0
     start_east_m: float = 0.0
     ordered: Order | None = None
@@ -84,19 +84,19 @@ def events(gate: Gate, unseen_s: float, state: VehicleState, old: tuple[str, ...
     found.append(Event.CHECKS_GREEN if green else Event.CHECKS_RED)
     if gate.ordered is Order.FOLLOW and (green or gate.mode in (Mode.ENDED, Mode.HOLD)):
         found.append(Event.ORDER_FOLLOW)
-    # One late picture or packet is no reason to give an order up: as in flight, it may come back within `brake_s`.
-    if not (green or (in_air and 0.0 <= state.t_s - gate.green_t_s <= limits.brake_s)):
+    # One late picture or packet does not void an order: as in flight, it may come back within `stale_grace_s`.
+    if not (green or (in_air and 0.0 <= state.t_s - gate.green_t_s <= limits.stale_grace_s)):
         found.append(Event.STAYED_RED)
     if state.in_control and green:
         found.append(Event.CONTROL_GAINED)
-    if gate.mode is Mode.ENGAGE and state.t_s - gate.since_s > limits.engage_s:
+    if gate.mode is Mode.ENGAGE and state.t_s - gate.since_s > limits.engage_timeout_s:
         found.append(Event.TIMEOUT)
     found.append(Event.SEEN if seen else Event.UNSEEN)
     if unseen_s > limits.search_after_s:
         found.append(Event.LONG_UNSEEN)
     if unseen_s > limits.give_up_after_s:
         found.append(Event.GIVEN_UP)
-    if gate.mode is Mode.BRAKE and speed(gate) < STILL_M_S and state.t_s - gate.since_s >= limits.brake_s:
+    if gate.mode is Mode.BRAKE and speed(gate) < STILL_M_S and state.t_s - gate.since_s >= limits.stale_grace_s:
         found.append(Event.STOPPED)
     return found
 
@@ -106,17 +106,17 @@ def speed(gate: Gate) -> float:
     return math.hypot(*gate.horizontal.v, *gate.down.v)
 
 
-def goal(mode: Mode, wish: Setpoint, unseen_s: float, limits: Limits) -> Setpoint:
-    """What the mode leaves of the wish: all, less and less, a turn, nothing."""
-    if mode not in (Mode.FOLLOW, Mode.COAST, Mode.SEARCH) or not wish.is_finite():
+def goal(mode: Mode, desired: Setpoint, unseen_s: float, limits: Limits) -> Setpoint:
+    """What the mode leaves of the desired setpoint: all, less and less, a turn, nothing."""
+    if mode not in (Mode.FOLLOW, Mode.COAST, Mode.SEARCH) or not desired.is_finite():
         return Setpoint()
-    wish = Setpoint(*(clipped(getattr(wish, name), PLAUSIBLE) for name in Setpoint.__slots__))
+    desired = Setpoint(*(clipped(getattr(desired, name), PLAUSIBLE) for name in Setpoint.__slots__))
     if mode is Mode.FOLLOW:
-        return wish
+        return desired
     # The first half of the time all of it: behind a post or a bush a walker goes on, and so must the view.
     share = clipped(max(2 - 2 * unseen_s / limits.search_after_s, 0.0), 1.0) if mode is Mode.COAST else 0.0
-    turn = clipped(wish.yaw_rate_rad_s, limits.search_rad_s)
-    return Setpoint(wish.forward_m_s * share, wish.right_m_s * share, wish.down_m_s * share, turn)
+    turn = clipped(desired.yaw_rate_rad_s, limits.search_rad_s)
+    return Setpoint(desired.forward_m_s * share, desired.right_m_s * share, desired.down_m_s * share, turn)
 
 
 def clipped(value: float, largest: float) -> float:
@@ -124,28 +124,28 @@ def clipped(value: float, largest: float) -> float:
     return min(max(value, -largest), largest)
 
 
-def begun(gate: Gate, estimate: Estimate, state: VehicleState, limits: Limits) -> Gate:
+def start_ramps(gate: Gate, estimate: Estimate, state: VehicleState, limits: Limits) -> Gate:
     """The gate as streaming begins: ramps start at the present velocity, the fence is centred here.
 
     The present velocity is not to be kept up into the ground or the target: stand-off and altitude limit it, too.
     """
     forward, right, _ = state.body_velocity_m_s()
     over = max(math.hypot(forward, right) / limits.speed_m_s, 1.0)
-    forward, right = apart(forward / over, right / over, estimate, state, limits)
+    forward, right = limit_closing_speed(forward / over, right / over, estimate, state, limits)
     c, s = math.cos(state.yaw_rad), math.sin(state.yaw_rad)
-    down = banded(clipped(state.down_m_s, limits.climb_m_s), estimate, state, limits)
+    down = limit_altitude(clipped(state.down_m_s, limits.climb_m_s), estimate, state, limits)
     return replace(
         gate,
-        horizontal=Velocity((c * forward - s * right, s * forward + c * right)),
-        down=Velocity((down,)),
-        yaw=Rate(min(max(state.yaw_rate_rad_s, -limits.yaw_rate_rad_s), limits.yaw_rate_rad_s)),
+        horizontal=VelocityRamp((c * forward - s * right, s * forward + c * right)),
+        down=VelocityRamp((down,)),
+        yaw=YawRateRamp(min(max(state.yaw_rate_rad_s, -limits.yaw_rate_rad_s), limits.yaw_rate_rad_s)),
         start_north_m=state.north_m,
         start_east_m=state.east_m,
     )
 
 
 def decide(
-    gate: Gate, wish: Setpoint, estimate: Estimate, state: VehicleState, frame_t_s: float, limits: Limits
+    gate: Gate, desired: Setpoint, estimate: Estimate, state: VehicleState, frame_t_s: float, limits: Limits
 ) -> tuple[Gate, Decision]:
     """One round of the gate."""
     old = stale(state, frame_t_s, limits)
@@ -157,17 +157,17 @@ def decide(
     t_s = state.t_s if math.isfinite(state.t_s) else gate.t_s
     since_s = gate.since_s if mode is gate.mode else t_s
     dt = clipped(max(t_s - gate.t_s, 0.0), STEP_S) if gate.t_s > NEVER else 0.0
-    notes = old if wish.is_finite() else (*old, "the wish is not finite")
+    notes = old if desired.is_finite() else (*old, "the desired setpoint is not finite")
     if mode in STREAMING and not math.isfinite(state.yaw_rad):
         mode = Mode.ENDED  # without a heading no direction can be sent, not even zero turned into the body's axes
     fresh = not old and math.isfinite(unseen_s)
     if mode in STREAMING and (gate.mode not in STREAMING or (mode is Mode.ENGAGE and fresh)):
-        gate, dt = begun(gate, estimate, state, limits), 0.0
+        gate, dt = start_ramps(gate, estimate, state, limits), 0.0
     green_t_s = t_s if Event.CHECKS_GREEN in found else gate.green_t_s
     gate = remembered(replace(gate, mode=mode, t_s=t_s, since_s=since_s, green_t_s=green_t_s), limits)
     if mode not in STREAMING:
         return gate, Decision(None, mode.value, notes)
-    want = goal(mode, wish, unseen_s, limits)
+    want = goal(mode, desired, unseen_s, limits)
     velocity, held = (0.0, 0.0, 0.0), ()
     if fresh:
         speed_m_s = limits.speed_m_s if mode is Mode.FOLLOW else min(limits.coast_m_s, limits.speed_m_s)
@@ -182,7 +182,7 @@ def remembered(gate: Gate, limits: Limits) -> Gate:
     if gate.ordered is None:
         return gate
     since_s = gate.t_s if gate.ordered_t_s is None else gate.ordered_t_s
-    if gate.mode in STREAMING or gate.ordered is Order.OBSERVE or gate.t_s - since_s > limits.order_s:
+    if gate.mode in STREAMING or gate.ordered is Order.OBSERVE or gate.t_s - since_s > limits.order_timeout_s:
         return replace(gate, ordered=None, ordered_t_s=None)
     return replace(gate, ordered_t_s=since_s)
 
@@ -212,9 +212,9 @@ class Safety:
     limits: Limits = field(default_factory=Limits)
     gate: Gate = field(default_factory=Gate)
 
-    def allow(self, wish: Setpoint, estimate: Estimate, state: VehicleState, frame_t_s: float) -> Decision:
-        """What of the wish may be sent at `state.t_s`, given when the newest picture was taken."""
-        self.gate, decision = decide(self.gate, wish, estimate, state, frame_t_s, self.limits)
+    def allow(self, desired: Setpoint, estimate: Estimate, state: VehicleState, frame_t_s: float) -> Decision:
+        """What of the desired setpoint may be sent at `state.t_s`, given when the newest picture was taken."""
+        self.gate, decision = decide(self.gate, desired, estimate, state, frame_t_s, self.limits)
         return decision
 
     def order(self, order: Order) -> None:

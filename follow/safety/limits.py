@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from follow.ranges import require_numbers
 
-MAY_BE_ZERO = ("latency_s", "blind_m_s")
+MAY_BE_ZERO = ("latency_s", "out_of_view_m_s")
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,10 +24,10 @@ class Limits:
     floor_m: float = 2.0  # above the start's ground; a person's reach
     ceiling_m: float = 100.0  # 120 m is the open category's limit in Europe, with margin
     fence_m: float = 300.0  # from where FOLLOW began; visual line of sight of a small drone
-    standoff_m: float = 4.0  # nearest to the target's head; braking from a walk takes 1 m, from a run 3 m
+    min_standoff_m: float = 4.0  # nearest to the target's head; braking from a walk takes 1 m, from a run 3 m
     range_sigmas: float = 2.0  # the target may be nearer than estimated by so many standard deviations
     half_view_rad: float = math.radians(35.0)  # the camera sees so far to either side of the nose
-    blind_m_s: float = 2.0  # horizontal speed out of the camera's view: a walk, which people behind can evade
+    out_of_view_m_s: float = 2.0  # horizontal speed out of the camera's view: a walk, which people behind can evade
     frame_age_s: float = 0.2  # six pictures at 30 frames/s
     latency_s: float = 0.0  # the camera's own known delay, added to the frame's age limit
     attitude_age_s: float = 0.1  # turning at the limit the picture is 9 degrees off by then
@@ -36,9 +36,9 @@ class Limits:
     coast_after_s: float = 0.25  # unseen for so long is lost
     search_after_s: float = 4.0  # and so long: hover and search; from half of it on slower and slower
     give_up_after_s: float = 20.0  # a walker may by then be 28 m from where it was predicted
-    brake_s: float = 1.0  # stale data may come back for so long before the stream stops, or an order is given up
-    order_s: float = 30.0  # an order to follow that could not be obeyed for so long is void
-    engage_s: float = 5.0  # the autopilot has so long to obey; PX4 may take 1 s of stream and 1 s to say so
+    stale_grace_s: float = 1.0  # stale data may come back for so long before the stream stops, or an order is given up
+    order_timeout_s: float = 30.0  # an order to follow that could not be obeyed for so long is void
+    engage_timeout_s: float = 5.0  # the autopilot has so long to obey; PX4 may take 1 s of stream and 1 s to say so
 
     def __post_init__(self) -> None:
         require_numbers("limit", self, may_be_zero=MAY_BE_ZERO)

@@ -9,8 +9,8 @@ class Mode(str, Enum):
     OBSERVE = "observe"  # track and compute, send nothing
     READY = "ready"  # the same, with every check green
     ENGAGE = "engage"  # ordered to follow: stream the present velocity until the autopilot obeys
-    FOLLOW = "follow"  # the wish, within the limits
-    COAST = "coast"  # the target is not seen: the wish, slower and slower
+    FOLLOW = "follow"  # the desired setpoint, within the limits
+    COAST = "coast"  # the target is not seen: the desired setpoint, slower and slower
     SEARCH = "search"  # hover and turn towards where it was last
     HOLD = "hold"  # given up: hover until the operator decides
     BRAKE = "brake"  # something is stale: ramp to zero

@@ -31,7 +31,7 @@ def mixed(a: tuple[float, ...], b: tuple[float, ...], share: float) -> tuple[flo
 
 
 @dataclass(frozen=True, slots=True)
-class Velocity:
+class VelocityRamp:
     """A commanded velocity (m/s) and its acceleration (m/s²), of one or two components."""
 
     v: tuple[float, ...] = (0.0, 0.0)
@@ -74,7 +74,7 @@ def safest(
 
 
 @dataclass(frozen=True, slots=True)
-class Rate:
+class YawRateRamp:
     """A commanded yaw rate, rad/s."""
 
     rate: float = 0.0

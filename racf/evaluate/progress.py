@@ -27,7 +27,7 @@ class Bar:
         self._task = progress.add_task("tracking", total=frames)
         self._frames = frames
 
-    def done(self, task: runner.Task, run: runner.Run, stored: bool) -> None:
+    def done(self, task: runner.Task, run: runner.SequenceRun, stored: bool) -> None:
         """Take note of a finished task."""
         if stored:
             self._frames -= len(task.frames)

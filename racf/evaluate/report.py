@@ -8,7 +8,7 @@ import numpy as np
 
 from racf.evaluate.benchmarks import Sequence
 from racf.evaluate.metrics import Boxes, Convention, Score, interval_of_mean, mean_score, score
-from racf.evaluate.runner import Run
+from racf.evaluate.runner import SequenceRun
 from racf.evaluate.stored import Stored
 
 
@@ -26,7 +26,7 @@ class Judged:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Row:
+class ResultRow:
     """One tracker's results by sequence name; `jittered` holds those from wrong first boxes, one for each start."""
 
     label: str
@@ -57,7 +57,7 @@ class Report:
     """
 
     sequences: tuple[Sequence, ...]
-    rows: tuple[Row, ...]
+    rows: tuple[ResultRow, ...]
     counted: tuple[str, ...]
 
     def names(self, benchmark: str | None = None, attribute: str | None = None) -> list[str]:
@@ -89,7 +89,7 @@ class Report:
         """The contract of `racf eval --json`: see docs/evaluation.md."""
         return {row.label: self._row_json(row) for row in self.rows}
 
-    def _row_json(self, row: Row) -> dict[str, Any]:
+    def _row_json(self, row: ResultRow) -> dict[str, Any]:
         counted = [row.nominal[name] for name in self.counted]
         out: dict[str, Any] = _figures(counted)
         fps = [row.fps[name] for name in self.counted if name in row.fps]
@@ -111,7 +111,7 @@ class Report:
         out["sequences"] = {s.name: self._sequence_json(row, s) for s in self.sequences if s.name in row.nominal}
         return out
 
-    def _sequence_json(self, row: Row, sequence: Sequence) -> dict[str, Any]:
+    def _sequence_json(self, row: ResultRow, sequence: Sequence) -> dict[str, Any]:
         out: dict[str, Any] = _figures([row.nominal[sequence.name]])
         if sequence.name in row.fps:
             out["fps"] = round(row.fps[sequence.name], 2)
@@ -171,7 +171,7 @@ class Report:
 
 def build_report(
     sequences: Iterable[Sequence],
-    runs: Mapping[str, Mapping[str, list[Run]]],
+    runs: Mapping[str, Mapping[str, list[SequenceRun]]],
     stored: Mapping[str, Stored],
     reference: Iterable[str] = (),
 ) -> Report:
@@ -184,7 +184,7 @@ def build_report(
     rows = [_judge_runs(label, sequences, by_sequence) for label, by_sequence in runs.items()]
     for label, left in stored.items():
         judged = {s.name: Judged.of(left.boxes[s.name], s) for s in sequences if s.name in left.boxes}
-        rows.append(Row(label, judged, left.fps))
+        rows.append(ResultRow(label, judged, left.fps))
     common = [s.name for s in sequences if all(s.name in row.nominal for row in rows)]
     published = set(reference)
     counted = [name for name in common if name in published] or common
@@ -193,8 +193,8 @@ def build_report(
     return Report(sequences, tuple(rows), tuple(counted))
 
 
-def _judge_runs(label: str, sequences: tuple[Sequence, ...], by_sequence: Mapping[str, list[Run]]) -> Row:
-    row = Row(label, {})
+def _judge_runs(label: str, sequences: tuple[Sequence, ...], by_sequence: Mapping[str, list[SequenceRun]]) -> ResultRow:
+    row = ResultRow(label, {})
     for sequence in sequences:
         runs = by_sequence.get(sequence.name, [])
         if runs:

@@ -83,7 +83,7 @@ class Task:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Run:
+class SequenceRun:
     """What a task gave: boxes in 1-based pixels like the annotations', and the time inside the tracker."""
 
     boxes: Boxes
@@ -107,7 +107,7 @@ def jittered(box: Box, sequence: str, start: int) -> Box:
     return Box.around(box.centre_x + dx * box.w, box.centre_y + dy * box.h, w, h)
 
 
-def run_task(task: Task) -> Run:
+def run_task(task: Task) -> SequenceRun:
     """Track one sequence; raises ValueError naming a frame that cannot be read."""
     one_core()  # figures are those of one core, and the sums in the boxes do not depend on how many there are
     warm_up(task.spec)
@@ -124,7 +124,7 @@ def run_task(task: Task) -> Run:
             stages.setdefault(stage, []).append(ms)
     rows = np.array([[b.x + 1, b.y + 1, b.w, b.h] for b in boxes], dtype=np.float64)
     # Rounded as they are written, so that a resumed evaluation is judged on the same boxes.
-    return Run(
+    return SequenceRun(
         boxes=rows.round(3),
         fps=(len(boxes) - 1) / seconds if seconds else 0.0,
         stage_ms={stage: float(np.median(ms)) for stage, ms in stages.items()},
@@ -146,13 +146,13 @@ def run_all(
     jobs: int = 1,
     folder: Path | None = None,
     dask: str | None = None,
-    done: Callable[[Task, Run, bool], None] = lambda task, run, stored: None,
-) -> dict[tuple[str, str, int], Run]:
+    done: Callable[[Task, SequenceRun, bool], None] = lambda task, run, stored: None,
+) -> dict[tuple[str, str, int], SequenceRun]:
     """Outcomes by (label, sequence, start), from `jobs` processes (1: this one) or from a Dask cluster.
 
     `done` is called after each, and told whether it was found in `folder`.
     """
-    runs: dict[tuple[str, str, int], Run] = {}
+    runs: dict[tuple[str, str, int], SequenceRun] = {}
     left: list[Task] = []
     for task in todo:
         run = _stored(folder, task)
@@ -170,7 +170,7 @@ def run_all(
     return runs
 
 
-def _outcomes(todo: list[Task], jobs: int, dask: str | None) -> Iterator[tuple[Task, Run]]:
+def _outcomes(todo: list[Task], jobs: int, dask: str | None) -> Iterator[tuple[Task, SequenceRun]]:
     if dask is not None:
         yield from _on_dask(todo, dask)
     elif jobs == 1:
@@ -180,7 +180,7 @@ def _outcomes(todo: list[Task], jobs: int, dask: str | None) -> Iterator[tuple[T
         yield from each(run_task, todo, jobs)
 
 
-def _on_dask(todo: list[Task], address: str) -> Iterator[tuple[Task, Run]]:
+def _on_dask(todo: list[Task], address: str) -> Iterator[tuple[Task, SequenceRun]]:
     """The workers must see the frames under the same paths and have the same version installed."""
     try:
         distributed: Any = importlib.import_module("distributed")  # an extra
@@ -200,7 +200,7 @@ def _places(folder: Path, task: Task) -> tuple[Path, Path]:
     return place / f"{stem}.txt", place / f"{stem}.json"
 
 
-def _stored(folder: Path | None, task: Task) -> Run | None:
+def _stored(folder: Path | None, task: Task) -> SequenceRun | None:
     """The outcome that an earlier evaluation left, if it is of this very task."""
     if folder is None:
         return None
@@ -210,10 +210,10 @@ def _stored(folder: Path | None, task: Task) -> Run | None:
     known = json.loads(note.read_text())
     if known["key"] != task.key():
         return None
-    return Run(read_boxes(boxes), known["fps"], known["stage_ms"])
+    return SequenceRun(read_boxes(boxes), known["fps"], known["stage_ms"])
 
 
-def _store(folder: Path, task: Task, run: Run) -> None:
+def _store(folder: Path, task: Task, run: SequenceRun) -> None:
     """Leave the boxes, then the note that vouches for them: an interruption in between leaves no note."""
     boxes, note = _places(folder, task)
     boxes.parent.mkdir(parents=True, exist_ok=True)

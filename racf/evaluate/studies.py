@@ -12,7 +12,7 @@ import numpy as np
 
 from racf.evaluate import plots
 from racf.evaluate.metrics import mean_score
-from racf.evaluate.report import Report, Row, Table
+from racf.evaluate.report import Report, ResultRow, Table
 from racf.evaluate.trackers import opencv_has
 
 ITERATIONS = (1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 15, 20, 25)  # the columns of Table 3 [Paper]
@@ -21,14 +21,14 @@ CONVERGING = ("bacf", "arcf-hc", "racf--")  # the rows of Table 3 [Paper]
 
 
 @dataclass(frozen=True, slots=True)
-class Grid:
+class Sweep:
     """The settings that tables 3 and 4 go through."""
 
     iterations: tuple[int, ...] = ITERATIONS
     etas: tuple[float, ...] = ETAS
 
 
-def trackers_of(table: int, grid: Grid) -> tuple[str, ...]:
+def trackers_of(table: int, grid: Sweep) -> tuple[str, ...]:
     """The trackers whose results a table shows."""
     if table == 2:
         return ("racf", "racf-", "racf--", "bacf", "arcf-hc", *(peer for peer in ("csrt", "kcf") if opencv_has(peer)))
@@ -41,7 +41,7 @@ def trackers_of(table: int, grid: Grid) -> tuple[str, ...]:
     return (*refined, "racf--", "racf-", "racf")
 
 
-def lay_out(table: int, report: Report, grid: Grid) -> Table:
+def lay_out(table: int, report: Report, grid: Sweep) -> Table:
     """A table of the paper from a report on its trackers."""
     layouts: dict[int, Callable[[], Table]] = {
         2: lambda: _speed_and_precision(report),
@@ -52,7 +52,7 @@ def lay_out(table: int, report: Report, grid: Grid) -> Table:
     return layouts[table]()
 
 
-def draw(table: int, report: Report, grid: Grid, folder: Path) -> list[Path]:
+def draw(table: int, report: Report, grid: Sweep, folder: Path) -> list[Path]:
     """Tables 3 and 4 as a figure: success over iterations, a line for each tracker or weight."""
     if table == 3:
         lines = {name: [_auc(report, _iterated(name, n)) for n in grid.iterations] for name in CONVERGING}
@@ -71,7 +71,7 @@ def _weighted(eta: float, iterations: int) -> str:
     return f"racf--,residue={eta:g},admm_iterations={iterations}"
 
 
-def _row(report: Report, label: str) -> Row:
+def _row(report: Report, label: str) -> ResultRow:
     return next(row for row in report.rows if row.label == label)
 
 
@@ -93,13 +93,13 @@ def _speed_and_precision(report: Report) -> Table:
     return Table("Table 2: precision at 20 px (percent) and speed", header, tuple(rows))
 
 
-def _over_iterations(report: Report, grid: Grid) -> Table:
+def _over_iterations(report: Report, grid: Sweep) -> Table:
     rows = [(name, *_best_marked([_auc(report, _iterated(name, n)) for n in grid.iterations])) for name in CONVERGING]
     title = "Table 3: AUC (percent) over ADMM iterations, best of each tracker in bold"
     return Table(title, ("tracker", *map(str, grid.iterations)), tuple(rows))
 
 
-def _over_weights(report: Report, grid: Grid) -> Table:
+def _over_weights(report: Report, grid: Sweep) -> Table:
     columns = [_best_marked([_auc(report, _weighted(eta, n)) for n in grid.iterations]) for eta in grid.etas]
     rows = [(str(n), *(column[i] for column in columns)) for i, n in enumerate(grid.iterations)]
     title = "Table 4: AUC (percent) of racf-- over ADMM iterations (rows) and eta (columns), best of each eta in bold"
@@ -116,7 +116,7 @@ def _components(report: Report) -> Table:
     return Table(title, ("tracker", *report.benchmarks(), "mean of benchmarks"), tuple(rows))
 
 
-def _means(report: Report, row: Row, benchmark: str) -> tuple[float, float]:
+def _means(report: Report, row: ResultRow, benchmark: str) -> tuple[float, float]:
     mean = mean_score([row.nominal[name].toolkit for name in report.names(benchmark)])
     return mean.auc, mean.precision_20px
 

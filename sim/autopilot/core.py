@@ -47,7 +47,7 @@ class Command:
 
 
 @dataclass(frozen=True, slots=True)
-class Mode:
+class AutopilotMode:
     """A flight mode: its numbers in DO_SET_MODE (main and sub, or the one of ArduPilot) and what flies it."""
 
     number: int
@@ -55,11 +55,11 @@ class Mode:
     guidance: str
 
 
-class Flight(ABC):
+class AutopilotCore(ABC):
     """One autopilot in charge of one vehicle: on the ground in its first mode, or hovering when it starts aloft."""
 
     autopilot: ClassVar[Autopilot]
-    modes: ClassVar[Mapping[str, Mode]]
+    modes: ClassVar[Mapping[str, AutopilotMode]]
     ground_mode: ClassVar[str]
     stay_mode: ClassVar[str]
     land_mode: ClassVar[str] = "LAND"

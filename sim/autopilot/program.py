@@ -22,7 +22,7 @@ import tyro
 from follow.link.signing import EPOCH_S, UNITS_PER_S, read_key
 from follow.messages import Autopilot
 from sim.autopilot.system import AutopilotSystem
-from sim.dynamics import Motion, Vehicle, Wind
+from sim.dynamics import Vehicle, VehicleTruth, Wind
 
 LAST_PORT = 65535
 STEP_S = 0.005  # twice as often as the fastest telemetry that is asked for in practice
@@ -152,7 +152,7 @@ def open_port(option: str, uri: str) -> Generator[UdpPort, None, None]:
 def build(options: Options) -> AutopilotSystem:
     """The system that the options describe; raises ValueError for options that break a rule, OSError without a key."""
     check(options)
-    start = Motion(down_m=-options.height_m, yaw_rad=math.radians(options.heading_deg))
+    start = VehicleTruth(down_m=-options.height_m, yaw_rad=math.radians(options.heading_deg))
     wind = Wind(options.wind_m_s, toward_rad=math.pi / 2)
     vehicle = Vehicle(Autopilot(options.rules), start, wind, options.seed)
     key = read_key(options.signing_key) if options.signing_key else None

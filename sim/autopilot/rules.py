@@ -4,7 +4,7 @@ import math
 from typing import ClassVar
 
 from follow.messages import NEVER, Autopilot
-from sim.autopilot.core import Command, Flight, Mode, Result
+from sim.autopilot.core import AutopilotCore, AutopilotMode, Command, Result
 from sim.dynamics import Vehicle
 
 LOCAL_NED, LOCAL_OFFSET_NED, BODY_NED, BODY_OFFSET_NED = 1, 7, 8, 9
@@ -15,21 +15,21 @@ STREAM_RECENT_S = 0.5  # PX4: OFFBOARD needs setpoints at more than 2 Hz; its fi
 STICKS_LAST_S = 0.5  # PX4: COM_RC_LOSS_T's default
 
 
-class Px4Flight(Flight):
+class Px4Flight(AutopilotCore):
     """PX4 1.16, multicopter."""
 
     autopilot = Autopilot.PX4
     modes: ClassVar = {
-        "MANUAL": Mode(1, 0, "sticks"),
-        "ALTCTL": Mode(2, 0, "sticks"),
-        "POSCTL": Mode(3, 0, "sticks"),
-        "TAKEOFF": Mode(4, 2, "climb"),
-        "HOLD": Mode(4, 3, "stay"),
-        "MISSION": Mode(4, 4, "stay"),
-        "RTL": Mode(4, 5, "return"),
-        "LAND": Mode(4, 6, "land"),
-        "OFFBOARD": Mode(6, 0, "velocity"),
-        "STABILIZED": Mode(7, 0, "sticks"),
+        "MANUAL": AutopilotMode(1, 0, "sticks"),
+        "ALTCTL": AutopilotMode(2, 0, "sticks"),
+        "POSCTL": AutopilotMode(3, 0, "sticks"),
+        "TAKEOFF": AutopilotMode(4, 2, "climb"),
+        "HOLD": AutopilotMode(4, 3, "stay"),
+        "MISSION": AutopilotMode(4, 4, "stay"),
+        "RTL": AutopilotMode(4, 5, "return"),
+        "LAND": AutopilotMode(4, 6, "land"),
+        "OFFBOARD": AutopilotMode(6, 0, "velocity"),
+        "STABILIZED": AutopilotMode(7, 0, "sticks"),
     }
     ground_mode = "HOLD"
     stay_mode = "HOLD"
@@ -118,20 +118,20 @@ class Px4Flight(Flight):
         return {2: "LAND", 3: "RTL"}.get(int(self.parameters["COM_LOW_BAT_ACT"]))
 
 
-class ArduCopterFlight(Flight):
+class ArduCopterFlight(AutopilotCore):
     """ArduCopter 4.7."""
 
     autopilot = Autopilot.ARDUPILOT
     modes: ClassVar = {
-        "STABILIZE": Mode(0, 0, "sticks"),
-        "ALT_HOLD": Mode(2, 0, "sticks"),
-        "AUTO": Mode(3, 0, "stay"),
-        "GUIDED": Mode(4, 0, "guided"),
-        "LOITER": Mode(5, 0, "stay"),
-        "RTL": Mode(6, 0, "return"),
-        "LAND": Mode(9, 0, "land"),
-        "POSHOLD": Mode(16, 0, "stay"),
-        "BRAKE": Mode(17, 0, "stay"),
+        "STABILIZE": AutopilotMode(0, 0, "sticks"),
+        "ALT_HOLD": AutopilotMode(2, 0, "sticks"),
+        "AUTO": AutopilotMode(3, 0, "stay"),
+        "GUIDED": AutopilotMode(4, 0, "guided"),
+        "LOITER": AutopilotMode(5, 0, "stay"),
+        "RTL": AutopilotMode(6, 0, "return"),
+        "LAND": AutopilotMode(9, 0, "land"),
+        "POSHOLD": AutopilotMode(16, 0, "stay"),
+        "BRAKE": AutopilotMode(17, 0, "stay"),
     }
     ground_mode = "STABILIZE"
     stay_mode = "LOITER"
@@ -227,4 +227,4 @@ class ArduCopterFlight(Flight):
         return {1: "LAND", 2: "RTL"}.get(int(self.parameters["BATT_FS_LOW_ACT"]))
 
 
-RULES: dict[Autopilot, type[Flight]] = {Autopilot.PX4: Px4Flight, Autopilot.ARDUPILOT: ArduCopterFlight}
+RULES: dict[Autopilot, type[AutopilotCore]] = {Autopilot.PX4: Px4Flight, Autopilot.ARDUPILOT: ArduCopterFlight}

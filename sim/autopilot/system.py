@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import common as dialect
 
 from follow.link.signing import UNITS_PER_S
 from follow.messages import Autopilot
-from sim.autopilot.core import NO_PWM, Flight, Result
+from sim.autopilot.core import NO_PWM, AutopilotCore, Result
 from sim.autopilot.rules import RULES
 from sim.autopilot.telemetry import ORIGINS, REPORTS, UNASKED_HZ, Message
 from sim.dynamics import Vehicle
@@ -63,7 +63,7 @@ class AutopilotSystem:
         key: bytes | None = None,
         signing_time: int = 0,
     ):
-        self.flight: Flight = RULES[autopilot](vehicle)
+        self.flight: AutopilotCore = RULES[autopilot](vehicle)
         self.t_s = self.flight.t_s
         self._boot_s = boot_s
         self._signing_time = signing_time

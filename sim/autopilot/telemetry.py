@@ -7,7 +7,7 @@ from typing import Any
 from pymavlink.dialects.v20 import common as dialect
 
 from follow.messages import Autopilot
-from sim.autopilot.core import NO_PWM, Flight
+from sim.autopilot.core import NO_PWM, AutopilotCore
 
 Message = dialect.MAVLink_message
 
@@ -40,7 +40,7 @@ def us(t_s: float) -> int:
     return round(t_s * 1e6)
 
 
-def place(flight: Flight) -> tuple[int, int, float]:
+def place(flight: AutopilotCore) -> tuple[int, int, float]:
     """Latitude and longitude in 1e-7 degrees and metres above the sea, on a flat earth about the origin."""
     lat, lon, alt = ORIGINS[flight.autopilot]
     motion = flight.vehicle.motion
@@ -49,7 +49,7 @@ def place(flight: Flight) -> tuple[int, int, float]:
     return round(lat_now * 1e7), round(lon_now * 1e7), alt - motion.down_m
 
 
-def _heartbeat(flight: Flight, _t_s: float) -> Message:
+def _heartbeat(flight: AutopilotCore, _t_s: float) -> Message:
     """Mode and arming: the only truth about them."""
     mode = flight.modes[flight.mode]
     px4 = flight.autopilot is Autopilot.PX4
@@ -62,12 +62,12 @@ def _heartbeat(flight: Flight, _t_s: float) -> Message:
     return dialect.MAVLink_heartbeat_message(dialect.MAV_TYPE_QUADROTOR, autopilot, base, custom, status, 3)
 
 
-def _attitude(flight: Flight, t_s: float) -> Message:
+def _attitude(flight: AutopilotCore, t_s: float) -> Message:
     m = flight.vehicle.motion
     return dialect.MAVLink_attitude_message(ms(t_s), m.roll_rad, m.pitch_rad, m.yaw_rad, 0.0, 0.0, m.yaw_rate_rad_s)
 
 
-def _attitude_quaternion(flight: Flight, t_s: float) -> Message:
+def _attitude_quaternion(flight: AutopilotCore, t_s: float) -> Message:
     m = flight.vehicle.motion
     cr, sr = math.cos(m.roll_rad / 2), math.sin(m.roll_rad / 2)
     cp, sp = math.cos(m.pitch_rad / 2), math.sin(m.pitch_rad / 2)
@@ -77,13 +77,13 @@ def _attitude_quaternion(flight: Flight, t_s: float) -> Message:
     return dialect.MAVLink_attitude_quaternion_message(ms(t_s), w, x, y, z, 0.0, 0.0, m.yaw_rate_rad_s)
 
 
-def _local_position_ned(flight: Flight, t_s: float) -> Message:
+def _local_position_ned(flight: AutopilotCore, t_s: float) -> Message:
     m = flight.vehicle.motion
     place_and_speed = m.north_m, m.east_m, m.down_m, m.north_m_s, m.east_m_s, m.down_m_s
     return dialect.MAVLink_local_position_ned_message(ms(t_s), *place_and_speed)
 
 
-def _global_position_int(flight: Flight, t_s: float) -> Message:
+def _global_position_int(flight: AutopilotCore, t_s: float) -> Message:
     lat, lon, alt = place(flight)
     m = flight.vehicle.motion
     speed = round(m.north_m_s * 100), round(m.east_m_s * 100), round(m.down_m_s * 100)
@@ -92,14 +92,14 @@ def _global_position_int(flight: Flight, t_s: float) -> Message:
     return dialect.MAVLink_global_position_int_message(ms(t_s), lat, lon, round(alt * 1000), height, *speed, heading)
 
 
-def _gps_raw_int(flight: Flight, t_s: float) -> Message:
+def _gps_raw_int(flight: AutopilotCore, t_s: float) -> Message:
     lat, lon, alt = place(flight)
     m = flight.vehicle.motion
     speed = round(math.hypot(m.north_m_s, m.east_m_s) * 100)
     return dialect.MAVLink_gps_raw_int_message(us(t_s), 3, lat, lon, round(alt * 1000), 80, 80, speed, 0, 14)
 
 
-def _extended_sys_state(flight: Flight, _t_s: float) -> Message:
+def _extended_sys_state(flight: AutopilotCore, _t_s: float) -> Message:
     on_ground = flight.vehicle.motion.landed
     if flight.is_landing:
         state = dialect.MAV_LANDED_STATE_LANDING
@@ -110,7 +110,7 @@ def _extended_sys_state(flight: Flight, _t_s: float) -> Message:
     return dialect.MAVLink_extended_sys_state_message(0, state)
 
 
-def _sys_status(flight: Flight, _t_s: float) -> Message:
+def _sys_status(flight: AutopilotCore, _t_s: float) -> Message:
     percent = round(100 * flight.battery)
     battery = round(1000 * (10.5 + 2.1 * flight.battery)), 1200, percent
     # A ground station takes a fence that is not healthy for one that was crossed, be it set or not.
@@ -118,13 +118,13 @@ def _sys_status(flight: Flight, _t_s: float) -> Message:
     return dialect.MAVLink_sys_status_message(ALL_SENSORS, ALL_SENSORS, healthy, 300, *battery, 0, 0, 0, 0, 0, 0)
 
 
-def _battery_status(flight: Flight, _t_s: float) -> Message:
+def _battery_status(flight: AutopilotCore, _t_s: float) -> Message:
     cells = [round(1000 * (3.5 + 0.7 * flight.battery))] * 3 + [0xFFFF] * 7
     percent = round(100 * flight.battery)
     return dialect.MAVLink_battery_status_message(0, 1, 1, 0x7FFF, cells, 1200, -1, -1, percent)
 
 
-def _home_position(flight: Flight, t_s: float) -> Message:
+def _home_position(flight: AutopilotCore, t_s: float) -> Message:
     lat, lon, alt = ORIGINS[flight.autopilot]
     place_e7 = round(lat * 1e7), round(lon * 1e7), round(alt * 1000)
     return dialect.MAVLink_home_position_message(
@@ -132,12 +132,12 @@ def _home_position(flight: Flight, t_s: float) -> Message:
     )
 
 
-def _gps_global_origin(flight: Flight, t_s: float) -> Message:
+def _gps_global_origin(flight: AutopilotCore, t_s: float) -> Message:
     lat, lon, alt = ORIGINS[flight.autopilot]
     return dialect.MAVLink_gps_global_origin_message(round(lat * 1e7), round(lon * 1e7), round(alt * 1000), us(t_s))
 
 
-def _vfr_hud(flight: Flight, _t_s: float) -> Message:
+def _vfr_hud(flight: AutopilotCore, _t_s: float) -> Message:
     m = flight.vehicle.motion
     speed = math.hypot(m.north_m_s, m.east_m_s)
     heading = round(math.degrees(m.yaw_rad) % 360.0) % 360
@@ -145,7 +145,7 @@ def _vfr_hud(flight: Flight, _t_s: float) -> Message:
     return dialect.MAVLink_vfr_hud_message(speed, speed, heading, throttle, place(flight)[2], -m.down_m_s)
 
 
-def _rc_channels(flight: Flight, t_s: float) -> Message:
+def _rc_channels(flight: AutopilotCore, t_s: float) -> Message:
     pwm = [NO_PWM] * 18
     if flight.sticks is not None:
         pitch, roll, down, yaw = flight.sticks
@@ -156,7 +156,7 @@ def _rc_channels(flight: Flight, t_s: float) -> Message:
     return dialect.MAVLink_rc_channels_message(ms(t_s), *channels)
 
 
-def _position_target_local_ned(flight: Flight, t_s: float) -> Message:
+def _position_target_local_ned(flight: AutopilotCore, t_s: float) -> Message:
     c = flight.command
     if c is None or c.yaw_rate_rad_s is None:
         return dialect.MAVLink_position_target_local_ned_message(ms(t_s), 1, 0xFFF, *(0.0,) * 11)
@@ -167,7 +167,7 @@ def _position_target_local_ned(flight: Flight, t_s: float) -> Message:
     )
 
 
-def _autopilot_version(flight: Flight, _t_s: float) -> Message:
+def _autopilot_version(flight: AutopilotCore, _t_s: float) -> Message:
     px4 = flight.autopilot is Autopilot.PX4
     abilities = (
         dialect.MAV_PROTOCOL_CAPABILITY_MAVLINK2
@@ -186,11 +186,11 @@ def _autopilot_version(flight: Flight, _t_s: float) -> Message:
     )
 
 
-def _system_time(_flight: Flight, t_s: float) -> Message:
+def _system_time(_flight: AutopilotCore, t_s: float) -> Message:
     return dialect.MAVLink_system_time_message(0, ms(t_s))
 
 
-REPORTS: dict[int, Callable[[Flight, float], Message]] = {
+REPORTS: dict[int, Callable[[AutopilotCore, float], Message]] = {
     dialect.MAVLINK_MSG_ID_HEARTBEAT: _heartbeat,
     dialect.MAVLINK_MSG_ID_ATTITUDE: _attitude,
     dialect.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: _attitude_quaternion,

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.scene.world import GAITS, Actor, Array, Colour, Kind, Look, Place, Sun
+from sim.scene.world import GAITS, Actor, ActorPose, Array, Colour, Kind, Look, Sun
 
 AMBIENT = 0.5  # share of light that comes from the sky, a clear day
 
@@ -42,7 +42,7 @@ class Mesh:
 class Frame3:
     """Local axes of an actor: forward, right, up in metres from its place on the ground."""
 
-    def __init__(self, place: Place, sun: Sun) -> None:
+    def __init__(self, place: ActorPose, sun: Sun) -> None:
         self.place = place
         c, s = math.cos(place.heading_rad), math.sin(place.heading_rad)
         north, east, down = sun.toward()
@@ -93,13 +93,13 @@ def shade(colour: Colour, light: float) -> Colour:
     return b, g, r
 
 
-def body(actor: Actor, place: Place, sun: Sun) -> Mesh:
+def body(actor: Actor, place: ActorPose, sun: Sun) -> Mesh:
     """The actor's parts where it is; faces turned away are still among them."""
     frame = Frame3(place, sun)
     return frame.built(drafts(frame, actor, place))
 
 
-def drafts(frame: Frame3, actor: Actor, place: Place) -> list[Draft]:
+def drafts(frame: Frame3, actor: Actor, place: ActorPose) -> list[Draft]:
     """The parts in the actor's own axes."""
     if actor.kind is Kind.CAR:
         return car(frame, actor.look)

@@ -11,7 +11,7 @@ from follow.geometry import Intrinsics
 from sim.scene.bodies import Mesh
 from sim.scene.ground import Image
 from sim.scene.trees import Sprite
-from sim.scene.world import Array, Colour, Place
+from sim.scene.world import ActorPose, Array, Colour
 
 NEAR_M = 0.4  # nothing closer is drawn
 FRACTION = 4  # bits of fraction in OpenCV's polygon corners
@@ -113,7 +113,7 @@ def outlined(distance_m: float, polygons: list[Polygon]) -> Drawn | None:
     return Drawn(distance_m, polygons, (float(low[0]), float(low[1])), (float(high[0]), float(high[1])))
 
 
-def drawn_body(view: View, place: Place, mesh: Mesh) -> Drawn | None:
+def drawn_body(view: View, place: ActorPose, mesh: Mesh) -> Drawn | None:
     """An actor: limbs from far to near, faces in the order of their body (hull, then cabin)."""
     distance = math.hypot(place.north_m - view.place[0], place.east_m - view.place[1])
     polygons = outlines(view, mesh)

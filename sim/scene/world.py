@@ -58,17 +58,17 @@ class Route:
 
     table: Array
 
-    def at(self, t_s: float) -> "Place":
+    def at(self, t_s: float) -> "ActorPose":
         """Where the actor is, interpolated; it stands at its first or last place outside the route's time."""
         index = min(max(t_s / ROUTE_STEP_S, 0.0), len(self.table) - 1.0)
         low = min(int(index), len(self.table) - 2)
         share = index - low
         north, east, heading, speed, way = ((1 - share) * self.table[low] + share * self.table[low + 1]).tolist()
-        return Place(north, east, heading, speed, way)
+        return ActorPose(north, east, heading, speed, way)
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class ActorPose:
     """An actor's place, heading (radians clockwise from north, unwrapped), speed and the way that it has come."""
 
     north_m: float
@@ -213,7 +213,7 @@ class World:
     keep_clear_m: float = 14.0
     ground_texels: int = 2048  # side of the ground's texture, a multiple of 1024; 256 m, then it repeats
 
-    def target(self, t_s: float) -> Place:
+    def target(self, t_s: float) -> ActorPose:
         """Where the target is."""
         return self.actors[0].route.at(t_s)
 

@@ -23,7 +23,7 @@ from follow.link.replay import ReplayLink
 from follow.messages import HOVER, Autopilot, Setpoint, VehicleState
 from sim.autopilot.program import UdpPort, run
 from sim.autopilot.system import AutopilotSystem
-from sim.dynamics import Motion, Vehicle
+from sim.dynamics import Vehicle, VehicleTruth
 from sim.link import SimLink
 from tests.support.autopilot_pair import CONTROL, HOLD, STEP_S, Pair
 from tests.support.machine import against_the_clock
@@ -88,7 +88,7 @@ def in_memory(autopilot: Autopilot) -> Iterator[Rig]:
 @contextlib.contextmanager
 def served(autopilot: Autopilot, uri: Callable[[int], str]) -> Iterator[Rig]:
     """A link over UDP; `uri` makes its address from the port where the autopilot waits."""
-    system = AutopilotSystem(autopilot, Vehicle(autopilot, Motion(down_m=-10.0)))
+    system = AutopilotSystem(autopilot, Vehicle(autopilot, VehicleTruth(down_m=-10.0)))
     port = UdpPort("udpin:127.0.0.1:0")
     ended = threading.Event()
     server = threading.Thread(target=run, args=(system, [port], ended.is_set))
@@ -113,7 +113,7 @@ def over_mavsdk(autopilot: Autopilot):
 
 @contextlib.contextmanager
 def simulated(autopilot: Autopilot) -> Iterator[Rig]:
-    with SimLink(Vehicle(autopilot, Motion(down_m=-10.0))) as link:
+    with SimLink(Vehicle(autopilot, VehicleTruth(down_m=-10.0))) as link:
         yield Rig(link, link.advance, lambda: link.state().mode, lambda: None)
 
 

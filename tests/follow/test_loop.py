@@ -37,9 +37,9 @@ class Pieces:
     def order(self, order):
         self.said.append(order)
 
-    def allow(self, wish, estimate, state, frame_t_s):
+    def allow(self, desired, estimate, state, frame_t_s):
         self.said.append(("allow", frame_t_s))
-        return Decision(wish, "follow")
+        return Decision(desired, "follow")
 
 
 class Tracker:

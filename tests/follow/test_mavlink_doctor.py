@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import common as dialect
 from follow.camera import CameraError
 from follow.cli.program import main
 from follow.flight import preflight as doctor
-from follow.flight.preflight import Verdict
+from follow.flight.preflight import Health
 from follow.messages import Autopilot, Frame
 from tests.support.autopilot_pair import Pair
 
@@ -56,7 +56,7 @@ def int_as_float(number: int) -> float:
 def test_default_parameters_are_red_and_the_named_commands_mend_them(autopilot):
     pair = Pair(autopilot)
     findings = examined(pair)
-    red = {finding.name: finding.fix for finding in findings if finding.verdict is Verdict.RED}
+    red = {finding.name: finding.fix for finding in findings if finding.verdict is Health.RED}
     assert red == RED_AT_DEFAULTS[autopilot]
     assert not doctor.is_fit(findings)
     assert doctor.is_fit(findings, waived=list(red))
@@ -78,7 +78,7 @@ def test_a_silent_link_is_red():
     pair = Pair(Autopilot.PX4)
     pair.to_client = lambda packets: []
     (finding,) = examined(pair)
-    assert finding.verdict is Verdict.RED
+    assert finding.verdict is Health.RED
     assert "heard" in finding.text
 
 
@@ -88,7 +88,7 @@ def test_a_second_sender_is_red():
     setpoint = other.set_position_target_local_ned_encode(0, 1, 1, 8, 0x05C7, *(0.0,) * 11).pack(other)
     pair.to_client = lambda packets: [*packets, setpoint]
     found = {finding.name: finding for finding in examined(pair)}
-    assert found["second-sender"].verdict is Verdict.RED
+    assert found["second-sender"].verdict is Health.RED
     assert "component 192" in found["second-sender"].text
 
 
@@ -97,8 +97,8 @@ def test_a_parameter_that_is_not_told_is_red_when_it_is_judged():
     del pair.system.flight.parameters["COM_OBL_RC_ACT"]
     del pair.system.flight.parameters["NAV_RCL_ACT"]
     found = {finding.name: finding.verdict for finding in examined(pair)}
-    assert found["COM_OBL_RC_ACT"] is Verdict.RED
-    assert found["NAV_RCL_ACT"] is Verdict.WARN
+    assert found["COM_OBL_RC_ACT"] is Health.RED
+    assert found["NAV_RCL_ACT"] is Health.WARN
 
 
 def test_a_slow_link_is_red():
@@ -106,7 +106,7 @@ def test_a_slow_link_is_red():
     attitude = 30
     pair.to_client = lambda packets: [p for p in packets if p[7] != attitude or round(pair.t_s / 0.02) % 10 == 0]
     found = {finding.name: finding.verdict for finding in examined(pair)}
-    assert found["attitude"] is Verdict.RED
+    assert found["attitude"] is Health.RED
 
 
 def test_every_line_that_is_not_ok_is_one_line():
@@ -115,9 +115,9 @@ def test_every_line_that_is_not_ok_is_one_line():
 
 
 def test_a_clock_that_was_never_set_is_red_only_for_signing():
-    assert doctor.check_time(signs=False, unix_s=100.0).verdict is Verdict.WARN
-    assert doctor.check_time(signs=True, unix_s=100.0).verdict is Verdict.RED
-    assert doctor.check_time(signs=True, unix_s=1.8e9).verdict is Verdict.OK
+    assert doctor.check_time(signs=False, unix_s=100.0).verdict is Health.WARN
+    assert doctor.check_time(signs=True, unix_s=100.0).verdict is Health.RED
+    assert doctor.check_time(signs=True, unix_s=1.8e9).verdict is Health.OK
 
 
 def test_disk_room_is_told(tmp_path):
@@ -145,22 +145,22 @@ class Slideshow:
 def test_a_camera_is_judged_by_its_rate_and_the_age_of_its_pictures():
     kept = []
     verdicts = {finding.name: finding.verdict for finding in doctor.check_camera(Slideshow(60), None, kept)}
-    assert verdicts == {"camera": Verdict.OK}
+    assert verdicts == {"camera": Health.OK}
     assert len(kept) == 30
     (slow,) = doctor.check_camera(Slideshow(60, period_s=0.2), None, [])
-    assert slow.verdict is Verdict.RED
+    assert slow.verdict is Health.RED
     (none,) = doctor.check_camera(Slideshow(0), None, [])
-    assert none.verdict is Verdict.RED
+    assert none.verdict is Health.RED
     (broken,) = doctor.check_camera(Slideshow(60, breaks=True), None, [])
     assert "/dev/video9" in broken.text
     late = {finding.name: finding for finding in doctor.check_camera(Slideshow(60), lambda: 10.0, [])}
-    assert late["latency"].verdict is Verdict.RED
+    assert late["latency"].verdict is Health.RED
 
 
 def test_a_tracker_slower_than_the_camera_is_red():
     frames = list(Slideshow(20).frames())
-    assert doctor.check_tracker(lambda image: image, frames, fps=30.0).verdict is Verdict.OK
-    assert doctor.check_tracker(lambda image: image, frames, fps=1e9).verdict is Verdict.RED
+    assert doctor.check_tracker(lambda image: image, frames, fps=30.0).verdict is Health.OK
+    assert doctor.check_tracker(lambda image: image, frames, fps=1e9).verdict is Health.RED
 
 
 def test_the_command_is_red_in_one_line_for_what_cannot_be_opened(tmp_path, capsys):

@@ -15,12 +15,12 @@ from follow.link.packets import Packets
 from follow.link.signing import Signing
 from follow.messages import Autopilot
 from sim.autopilot.system import AutopilotSystem
-from sim.dynamics import Motion, Vehicle
+from sim.dynamics import Vehicle, VehicleTruth
 
 PACKET = dialect.MAVLink(None, 1, 1).heartbeat_encode(2, 12, 1, 0, 4).pack(dialect.MAVLink(None, 1, 1))
 
 
-def read_until(way: wire.Wire, wanted: int, seconds: float = 5.0) -> bytes:
+def read_until(way: wire.Transport, wanted: int, seconds: float = 5.0) -> bytes:
     end, data = time.monotonic() + seconds, b""
     while len(data) < wanted and time.monotonic() < end:
         data += way.read(0.05)[0]
@@ -28,7 +28,7 @@ def read_until(way: wire.Wire, wanted: int, seconds: float = 5.0) -> bytes:
 
 
 def test_udp_answers_only_where_it_is_told_to():
-    listening = wire.UdpWire("127.0.0.1", 0, listens=True)
+    listening = wire.UdpTransport("127.0.0.1", 0, listens=True)
     with contextlib.closing(listening), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle:
         vehicle.bind(("127.0.0.1", 0))
         vehicle.settimeout(2.0)
@@ -46,7 +46,7 @@ def test_udp_without_a_listener_loses_packets_and_does_not_fail():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    speaking = wire.UdpWire("127.0.0.1", port, listens=False)
+    speaking = wire.UdpTransport("127.0.0.1", port, listens=False)
     with contextlib.closing(speaking):
         for _ in range(5):
             speaking.write(PACKET)
@@ -56,7 +56,7 @@ def test_udp_without_a_listener_loses_packets_and_does_not_fail():
 def test_tcp_comes_back_after_a_drop(monkeypatch):
     monkeypatch.setattr(wire, "REOPEN_S", 0.05)
     server = socket.create_server(("127.0.0.1", 0))
-    way = wire.TcpWire("127.0.0.1", server.getsockname()[1])
+    way = wire.TcpTransport("127.0.0.1", server.getsockname()[1])
     with contextlib.closing(way), server:
         vehicle, _ = server.accept()
         vehicle.sendall(PACKET * 3)
@@ -75,7 +75,7 @@ def test_tcp_comes_back_after_a_drop(monkeypatch):
 
 def test_a_serial_line_carries_every_byte_value():
     vehicle, line = pty.openpty()
-    way = wire.SerialWire(os.ttyname(line), 57600)
+    way = wire.SerialTransport(os.ttyname(line), 57600)
     with contextlib.closing(way):
         every_byte = bytes(range(256))
         os.write(vehicle, every_byte)
@@ -108,16 +108,16 @@ def test_a_false_beginning_in_a_datagram_does_not_hide_the_packet_behind_it():
 @pytest.mark.parametrize("baud", ["0123", "7", "99999999"])
 def test_a_speed_that_no_line_knows_is_named(baud):
     with pytest.raises(RuntimeError, match="not a speed"):
-        wire.open_wire(f"serial:/dev/null:{baud}")
+        wire.open_transport(f"serial:/dev/null:{baud}")
 
 
 def test_a_vehicle_whose_signing_clock_is_behind_is_spoken_to_and_then_understood(tmp_path):
     key = tmp_path / "key"
     key.write_bytes(bytes(range(32)))
     key.chmod(0o600)
-    system = AutopilotSystem(Autopilot.PX4, Vehicle(Autopilot.PX4, Motion(down_m=-10.0)), key=key.read_bytes())
-    ours = wire.UdpWire("127.0.0.1", 0, listens=True)
-    theirs = wire.UdpWire("127.0.0.1", ours.port, listens=False)
+    system = AutopilotSystem(Autopilot.PX4, Vehicle(Autopilot.PX4, VehicleTruth(down_m=-10.0)), key=key.read_bytes())
+    ours = wire.UdpTransport("127.0.0.1", 0, listens=True)
+    theirs = wire.UdpTransport("127.0.0.1", ours.port, listens=False)
     began = time.monotonic()
     with MavlinkLink(ours, signing=Signing(key)) as link:
         while link.client.vehicle_id is None and time.monotonic() - began < 10.0:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import pytest
 
 from follow.flight.live_flight import unwaived
-from follow.flight.preflight import Finding, Verdict
+from follow.flight.preflight import Finding, Health
 from follow.flight.service import Service
 from follow.messages import HOVER, Decision, Estimate, Order, Tick, VehicleState
 from follow.operator.authority import Keys, Operator, signals
@@ -121,9 +121,9 @@ def test_signals_order_and_leave_and_the_second_leave_does_not_wait():
 
 
 def test_a_waiver_must_name_a_check_and_lets_only_that_one_pass():
-    red = [Finding(name, Verdict.RED, "bad", "mend it") for name in ("disk", "signing")]
+    red = [Finding(name, Health.RED, "bad", "mend it") for name in ("disk", "signing")]
     lines: list[str] = []
-    assert unwaived([*red, Finding("link", Verdict.OK, "fine")], ["disk"], lines.append) == ("signing is red",)
+    assert unwaived([*red, Finding("link", Health.OK, "fine")], ["disk"], lines.append) == ("signing is red",)
     assert len(lines) == 2
     assert lines[0].endswith("(waived)")
     with pytest.raises(ValueError, match="disc"):

@@ -92,7 +92,7 @@ def test_rerun_verifies_the_recording(tmp_path):
         "/response",
         "/mask",
     )
-    entities += ("/track/confidence", "/wish/velocity", "/setpoint/velocity", "/mode", "/messages", "/settings")
+    entities += ("/track/confidence", "/desired/velocity", "/setpoint/velocity", "/mode", "/messages", "/settings")
     entities += ("/timings/tracker",)
     for entity in entities:
         assert f"{entity} " in shown or f"{entity}\n" in shown or f"{entity}'" in shown, entity
@@ -102,7 +102,7 @@ def test_a_slow_writer_costs_pictures_and_no_row(tmp_path, monkeypatch):
     from follow.recording import rerun_log as explain  # noqa: PLC0415 - Rerun only where it is needed
 
     gate = threading.Event()
-    monkeypatch.setattr(explain.Explanation, "tick", lambda _self, _scene: gate.wait(30))
+    monkeypatch.setattr(explain.RerunRecording, "tick", lambda _self, _scene: gate.wait(30))
     recorder = Recorder(tmp_path, RecordConfig(queue=4), silent, waits=False)
     for n in range(50):
         recorder.tick(tick(n))
@@ -136,7 +136,7 @@ def test_a_recording_that_cannot_be_written_is_one_line_and_the_rows_are_whole(t
     def fail(_self):
         raise OSError("flight.rrd is no longer written: disk full")
 
-    monkeypatch.setattr(explain.Explanation, "flush", fail)
+    monkeypatch.setattr(explain.RerunRecording, "flush", fail)
     lines: list[str] = []
     with Recorder(tmp_path, RecordConfig(), lines.append, waits=True) as recorder:
         for n in range(40):

@@ -6,10 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from follow.messages import HOVER, NEVER, Estimate, Order, Setpoint, VehicleState
-from follow.safety.envelope import apart, approach_speed, fenced, in_view
+from follow.safety.envelope import approach_speed, in_view, limit_closing_speed, limit_to_fence
 from follow.safety.gate import Gate, Limits, Safety, decide
 from follow.safety.modes import Mode
-from follow.safety.ramps import Rate, Velocity
+from follow.safety.ramps import VelocityRamp, YawRateRamp
 
 LIMITS = Limits()
 DT = 1 / 30
@@ -44,25 +44,27 @@ def engaged(**changes):
     return safety, 2 * DT
 
 
-def fly(safety, t_s, seconds, wish, seen_t_s=None, frame_t_s=None, **changes):
+def fly(safety, t_s, seconds, desired, seen_t_s=None, frame_t_s=None, **changes):
     """Rounds of one wish; the decisions."""
     decisions = []
     for i in range(1, round(seconds / DT) + 1):
         now = t_s + i * DT
         estimate = seen(now if seen_t_s is None else seen_t_s)
-        decisions.append(safety.allow(wish, estimate, flying(now, **changes), now if frame_t_s is None else frame_t_s))
+        decisions.append(
+            safety.allow(desired, estimate, flying(now, **changes), now if frame_t_s is None else frame_t_s)
+        )
     return decisions
 
 
 @given(st.lists(st.tuples(wishes, st.floats(-0.2, 0.5), any_float, any_float), min_size=1, max_size=40))
 @settings(deadline=None)
-def test_no_wish_passes_a_limit_whatever_comes(rounds):
+def test_no_desired_setpoint_passes_a_limit_whatever_comes(rounds):
     safety, t_s = engaged()
     gate = safety.gate
-    for wish, dt, yaw, number in rounds:
+    for desired, dt, yaw, number in rounds:
         t_s += dt
         state = flying(t_s, yaw_rad=yaw if number == number else 0.3, north_m=number, east_m_s=yaw)
-        safety.allow(wish, seen(t_s), state, t_s)
+        safety.allow(desired, seen(t_s), state, t_s)
         before, gate = gate, safety.gate
         check(before, gate, min(max(dt, 0.0), 0.1))
 
@@ -82,10 +84,10 @@ def check(before, gate, dt):
 
 @given(wishes, any_float, any_float, any_float, any_float)
 @settings(deadline=None)
-def test_what_comes_out_is_finite_or_nothing(wish, t_s, frame_t_s, number, seen_t_s):
+def test_what_comes_out_is_finite_or_nothing(desired, t_s, frame_t_s, number, seen_t_s):
     safety, _ = engaged()
     state = flying(t_s, yaw_rad=number, down_m=number, north_m_s=number, yaw_rate_rad_s=number)
-    decision = safety.allow(wish, seen(seen_t_s), state, frame_t_s)
+    decision = safety.allow(desired, seen(seen_t_s), state, frame_t_s)
     assert decision.setpoint is None or decision.setpoint.is_finite()
 
 
@@ -96,7 +98,7 @@ def test_what_comes_out_is_finite_or_nothing(wish, t_s, frame_t_s, number, seen_
     st.floats(0.5, 20),
 )
 def test_a_ramp_keeps_speed_acceleration_and_jerk(goals, speed, accel, jerk):
-    velocity = Velocity()
+    velocity = VelocityRamp()
     for north, east, dt in goals:
         before, velocity = velocity, velocity.towards((north, east), dt, speed, accel, jerk)
         assert math.hypot(*velocity.v) <= speed * (1 + 1e-9)
@@ -105,14 +107,14 @@ def test_a_ramp_keeps_speed_acceleration_and_jerk(goals, speed, accel, jerk):
 
 
 def test_a_ramp_arrives_and_stays():
-    velocity = Velocity()
+    velocity = VelocityRamp()
     for _ in range(200):
         velocity = velocity.towards((3.0, -1.0), DT, 8.0, 2.5, 10.0)
     assert velocity.v == pytest.approx((3.0, -1.0), abs=1e-3)
 
 
 def test_a_yaw_rate_ramps():
-    assert Rate(0.0).towards(9.0, 0.1, 1.5, 6.0) == Rate(pytest.approx(0.6))
+    assert YawRateRamp(0.0).towards(9.0, 0.1, 1.5, 6.0) == YawRateRamp(pytest.approx(0.6))
 
 
 def test_nothing_is_sent_before_the_operator_asks():
@@ -146,7 +148,7 @@ def test_engaging_does_not_keep_up_a_rush_at_the_target():
     for n in range(60):
         t_s = n * DT
         state = flying(t_s, in_control=False, down_m=-2.0, north_m_s=4.0)
-        near = Estimate(t_s, 0.0, 0.4, LIMITS.standoff_m, 0.1, seen_t_s=t_s)
+        near = Estimate(t_s, 0.0, 0.4, LIMITS.min_standoff_m, 0.1, seen_t_s=t_s)
         decision = safety.allow(HOVER, near, state, t_s)
         assert decision.setpoint is None or decision.setpoint.forward_m_s <= 0.0
     assert decision.mode == "engage"
@@ -183,7 +185,7 @@ def test_a_short_stall_while_engaging_costs_neither_the_order_nor_the_stream(sta
 
 @pytest.mark.parametrize("stall", STALLS)
 def test_a_longer_stall_while_engaging_ends_it(stall):
-    stalled = fly(engaging(), 0.5, LIMITS.brake_s + 0.5, HOVER, in_control=False, **stall)
+    stalled = fly(engaging(), 0.5, LIMITS.stale_grace_s + 0.5, HOVER, in_control=False, **stall)
     assert (stalled[-1].mode, stalled[-1].setpoint) == ("ended", None)
 
 
@@ -255,12 +257,12 @@ def test_a_short_stall_is_ridden_out():
     assert fly(safety, t_s + 0.4, 0.2, Setpoint(2.0))[-1].mode == "follow"
 
 
-@pytest.mark.parametrize(("height", "wish"), [(1.5, 1.0), (101.0, -1.0)])
-def test_beyond_the_altitude_band_the_vehicle_is_led_back_slowly(height, wish):
+@pytest.mark.parametrize(("height", "desired"), [(1.5, 1.0), (101.0, -1.0)])
+def test_beyond_the_altitude_band_the_vehicle_is_led_back_slowly(height, desired):
     safety, t_s = engaged(down_m=-height)
-    sent = fly(safety, t_s, 1.0, Setpoint(down_m_s=wish), down_m=-height)[-1].setpoint
+    sent = fly(safety, t_s, 1.0, Setpoint(down_m_s=desired), down_m=-height)[-1].setpoint
     assert sent is not None
-    assert 0 < -sent.down_m_s * math.copysign(1, wish) <= 0.5
+    assert 0 < -sent.down_m_s * math.copysign(1, desired) <= 0.5
 
 
 def test_the_fence_stops_outward_but_not_inward_motion():
@@ -270,7 +272,7 @@ def test_the_fence_stops_outward_but_not_inward_motion():
     assert out is not None
     assert back is not None
     assert -0.5 <= out.forward_m_s < 0
-    assert back.forward_m_s == pytest.approx(-LIMITS.blind_m_s, abs=1e-2)
+    assert back.forward_m_s == pytest.approx(-LIMITS.out_of_view_m_s, abs=1e-2)
 
 
 def test_the_gate_is_a_function_of_its_state():
@@ -324,11 +326,11 @@ def test_after_holding_the_operator_can_ask_again():
     assert fly(safety, t_s + 31, 1.0, HOVER)[-1].mode == "follow"
 
 
-def test_a_wish_that_is_not_finite_hovers_and_says_so():
+def test_a_desired_setpoint_that_is_not_finite_hovers_and_says_so():
     safety, t_s = engaged()
     decision = fly(safety, t_s, 2.0, Setpoint(math.nan, 0.0, 0.0, 1.0))[-1]
     assert decision.setpoint == HOVER
-    assert "the wish is not finite" in decision.notes
+    assert "the desired setpoint is not finite" in decision.notes
 
 
 def test_an_estimate_that_is_not_finite_counts_as_unseen():
@@ -345,7 +347,7 @@ def test_out_of_the_view_nothing_is_flown_faster_than_blind_speed(forward, right
     seen_angles = [LIMITS.half_view_rad * i / 50 for i in range(-50, 51)]
     lengths = [max(f * math.cos(a) + r * math.sin(a), 0.0) for a in seen_angles]
     off = min(math.hypot(f - k * math.cos(a), r - k * math.sin(a)) for k, a in zip(lengths, seen_angles, strict=True))
-    assert off <= LIMITS.blind_m_s + 0.02
+    assert off <= LIMITS.out_of_view_m_s + 0.02
     assert math.hypot(f, r) <= math.hypot(forward, right) + 1e-9
 
 
@@ -353,17 +355,17 @@ def test_out_of_the_view_nothing_is_flown_faster_than_blind_speed(forward, right
 def test_closing_in_stops_before_the_stand_off_were_the_target_as_near_as_it_may_be(speed, azimuth, away, std, height):
     estimate = replace(seen(0.0), azimuth_rad=azimuth, range_m=away, range_std_m=std)
     state = flying(0.0, down_m=-height)
-    f, r = apart(speed * math.cos(azimuth), speed * math.sin(azimuth), estimate, state, LIMITS)
+    f, r = limit_closing_speed(speed * math.cos(azimuth), speed * math.sin(azimuth), estimate, state, LIMITS)
     closing = f * math.cos(azimuth) + r * math.sin(azimuth)
     clearance = math.hypot(max(away - 2 * std, 0.0), height - 2.0)
-    if clearance < LIMITS.standoff_m - 1e-6:
+    if clearance < LIMITS.min_standoff_m - 1e-6:
         assert closing <= 1e-9
     assert closing <= max(speed, 0.0) + 1e-9 if speed > 0 else closing == pytest.approx(speed)
 
 
 @given(st.floats(-9, 9), st.floats(-9, 9), st.floats(-500, 500), st.floats(-500, 500))
 def test_beyond_the_fence_no_velocity_leads_outward(north, east, out_north, out_east):
-    n, e = fenced(north, east, (out_north, out_east), LIMITS)
+    n, e = limit_to_fence(north, east, (out_north, out_east), LIMITS)
     if math.hypot(out_north, out_east) >= LIMITS.fence_m:
         assert n * out_north + e * out_east <= 1e-6
 
@@ -371,7 +373,7 @@ def test_beyond_the_fence_no_velocity_leads_outward(north, east, out_north, out_
 @pytest.mark.parametrize("speed", [2.0, 8.0])
 def test_a_vehicle_that_answers_late_stops_before_the_border(speed):
     """A vehicle with half a second of lag behind the ramps, flown at the border at full speed."""
-    room, v, ramp = 60.0, 0.0, Velocity()
+    room, v, ramp = 60.0, 0.0, VelocityRamp()
     for _ in range(3000):
         ramp = ramp.towards((min(speed, approach_speed(room, LIMITS.accel_m_s2)), 0.0), DT, 8.0, 2.5, 10.0)
         v += (ramp.v[0] - v) * DT / 0.5

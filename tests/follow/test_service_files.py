@@ -5,7 +5,7 @@ import re
 import shlex
 from pathlib import Path
 
-from follow.cli.commands import Command, Run
+from follow.cli.commands import Command, RunCommand
 from follow.flight.live_flight import LEAVE_S
 from follow.flight.service import ALIVE_EVERY_S
 from follow.link.connection import HOLD_S
@@ -33,7 +33,7 @@ def test_the_options_are_those_of_follow_run_and_do_not_follow_by_themselves():
     options = re.search(r'^FOLLOW_OPTIONS="(.*)"$', text, re.MULTILINE)
     assert options is not None
     command = parse(Command, ["run", *shlex.split(options[1]), "--out", "somewhere"], prog="follow", description="")
-    assert isinstance(command, Run)
+    assert isinstance(command, RunCommand)
     assert not command.follow
     assert command.settings is not None
     installed = f"sudo cp docs/service/settings.toml {command.settings}"

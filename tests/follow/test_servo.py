@@ -16,47 +16,47 @@ def estimate(azimuth=0.0, depression=DOWN, range_m=CONFIG.standoff_m, **more):
     return Estimate(0.0, azimuth, depression, range_m, 0.5, seen_t_s=0.0, **more)
 
 
-def wish(e, state=STATE):
+def desired(e, state=STATE):
     return Servo(DOWN).update(e, state)
 
 
 @given(st.floats(0.01, 1.0))
 def test_a_target_right_of_centre_turns_right_and_its_mirror_left(azimuth):
-    right, left = wish(estimate(azimuth)), wish(estimate(-azimuth))
+    right, left = desired(estimate(azimuth)), desired(estimate(-azimuth))
     assert right.yaw_rate_rad_s > 0
     assert right.yaw_rate_rad_s == pytest.approx(-left.yaw_rate_rad_s)
 
 
 @given(st.floats(0.05, 0.5))
 def test_a_target_low_in_the_picture_descends_and_a_high_one_climbs(angle):
-    assert wish(estimate(depression=DOWN + angle)).down_m_s > 0
-    assert wish(estimate(depression=DOWN - angle)).down_m_s < 0
+    assert desired(estimate(depression=DOWN + angle)).down_m_s > 0
+    assert desired(estimate(depression=DOWN - angle)).down_m_s < 0
 
 
 @given(st.floats(0.5, 10))
 def test_a_target_too_far_is_approached_and_one_too_near_is_left(metres):
-    assert wish(estimate(range_m=CONFIG.standoff_m + metres)).forward_m_s > 0
-    assert wish(estimate(range_m=CONFIG.standoff_m - metres)).forward_m_s < 0
+    assert desired(estimate(range_m=CONFIG.standoff_m + metres)).forward_m_s > 0
+    assert desired(estimate(range_m=CONFIG.standoff_m - metres)).forward_m_s < 0
 
 
 def test_a_target_where_it_is_wanted_asks_for_nothing():
-    still = wish(estimate())
+    still = desired(estimate())
     assert (still.forward_m_s, still.right_m_s, still.down_m_s, still.yaw_rate_rad_s) == pytest.approx((0, 0, 0, 0))
 
 
 @given(st.floats(-3, 3))
 def test_a_target_that_runs_away_is_followed_at_its_speed(yaw):
     ran = estimate(north_m_s=3 * math.cos(yaw), east_m_s=3 * math.sin(yaw))
-    assert wish(ran, VehicleState(t_s=0.0, yaw_rad=yaw)).forward_m_s == pytest.approx(3.0)
+    assert desired(ran, VehicleState(t_s=0.0, yaw_rad=yaw)).forward_m_s == pytest.approx(3.0)
 
 
 def test_a_target_crossing_to_the_right_turns_right_at_the_rate_of_its_bearing():
     crossing = estimate(north_m_s=-2 * math.sin(0.4), east_m_s=2 * math.cos(0.4))
-    assert wish(crossing).yaw_rate_rad_s == pytest.approx(2 / CONFIG.standoff_m)
+    assert desired(crossing).yaw_rate_rad_s == pytest.approx(2 / CONFIG.standoff_m)
 
 
 def watched_for(seconds, **state):
-    """A servo that has seen a target 3 m too far for so long, and its wish now."""
+    """A servo that has seen a target 3 m too far for so long, and its desired setpoint now."""
     servo = Servo(DOWN)
     for n in range(round(seconds / 0.05)):
         t_s = 0.05 * n
@@ -70,7 +70,7 @@ def test_how_long_it_waited_for_the_order_is_not_seen_in_the_wish():
     assert waited.forward_m_s == pytest.approx(came.forward_m_s)
 
 
-def test_a_wish_that_is_not_flown_does_not_grow_without_end():
+def test_a_desired_setpoint_that_is_not_flown_does_not_grow_without_end():
     held = watched_for(300.0, in_control=True).forward_m_s  # as in HOLD, or at the fence
     assert held <= CONFIG.approach.kp * 3.0 + 0.1 * CONFIG.approach.limit
     flown = watched_for(300.0, in_control=True, north_m_s=CONFIG.approach.kp * 3.0 + 0.5).forward_m_s

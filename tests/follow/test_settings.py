@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from follow.cli.commands import MARKERS, Run, commands
+from follow.cli.commands import MARKERS, RunCommand, commands
 from follow.cli.program import main
 from follow.cli.run import scene_eye
 from follow.cli.settings import as_toml, read_settings, settings_of, tomllib
@@ -16,7 +16,7 @@ from follow.control.servo import ServoConfig, ServoMode
 from follow.messages import Autopilot
 from follow.safety.limits import Limits
 from racf.commandline import UsageError, parse
-from sim.dynamics import Motion, Vehicle
+from sim.dynamics import Vehicle, VehicleTruth
 from sim.link import SimLink
 from sim.scenarios import SCENARIOS
 
@@ -79,7 +79,7 @@ def test_the_command_line_stands_above_the_file(tmp_path):
     for option in (["--settings", str(path)], [f"--settings={path}"]):
         words = ["run", "--link", "udpin:0.0.0.0:1", *option, "--limits.floor-m", "120"]
         command = parse(commands(settings_of(words)), words, prog="follow", description="", config=MARKERS)
-        assert isinstance(command, Run)
+        assert isinstance(command, RunCommand)
         assert command.config.limits == Limits(speed_m_s=3.0, floor_m=120.0, ceiling_m=200.0)
         assert command.settings == path
 
@@ -147,8 +147,8 @@ def test_a_command_without_settings_refuses_the_option(capfd):
 def test_a_live_scene_is_flown_with_what_its_scenario_suggests_beneath_what_a_person_chose():
     scenario = SCENARIOS["runner"]
     chosen = Config(limits=Limits(fence_m=80.0))
-    command = Run("udpin:0.0.0.0:1", camera="scene:runner", config=chosen)
-    with SimLink(Vehicle(Autopilot.PX4, Motion(down_m=-8.0))) as link:
+    command = RunCommand("udpin:0.0.0.0:1", camera="scene:runner", config=chosen)
+    with SimLink(Vehicle(Autopilot.PX4, VehicleTruth(down_m=-8.0))) as link:
         seen = scene_eye(command, link)
     assert seen.config.servo.standoff_m == scenario.standoff_m != ServoConfig().standoff_m
     assert seen.config.target.size_m == scenario.size_m != Config().target.size_m

@@ -4,7 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from follow.control.pose_history import Motion
+from follow.control.pose_history import PoseHistory
 from follow.control.target import Target, TargetConfig, predicted
 from follow.geometry import Intrinsics, camera_to_ned, project
 from follow.messages import NEVER, VehicleState
@@ -130,7 +130,7 @@ def test_uncertainty_grows_while_the_target_is_unseen():
 
 
 def test_a_pose_between_two_messages_is_interpolated_and_yaw_takes_the_short_way():
-    motion = Motion()
+    motion = PoseHistory()
     motion.add(hovering(0.0, yaw_rad=3.1, north_m=1.0))
     motion.add(hovering(1.0, yaw_rad=-3.1, north_m=2.0))
     pose = motion.at(0.5)
@@ -139,7 +139,7 @@ def test_a_pose_between_two_messages_is_interpolated_and_yaw_takes_the_short_way
 
 
 def test_beyond_the_newest_message_the_pose_moves_on_for_a_moment_only():
-    motion = Motion()
+    motion = PoseHistory()
     motion.add(hovering(0.0, north_m_s=2.0, yaw_rate_rad_s=1.0))
     assert motion.at(0.1).north_m == pytest.approx(0.2)
     assert motion.at(0.1).yaw_rad == pytest.approx(0.1)

@@ -14,11 +14,11 @@ import pytest
 
 from follow.camera import CameraError, video
 from follow.camera.video import LiveVideo, is_live, open_replay
-from follow.cli.commands import Run
+from follow.cli.commands import RunCommand
 from follow.cli.run import eye
 from follow.config import CameraConfig, Config
 from follow.messages import Autopilot, Frame
-from sim.dynamics import Motion, Vehicle
+from sim.dynamics import Vehicle, VehicleTruth
 from sim.link import SimLink
 from tests.support.machine import LateError, against_the_clock
 from tests.support.real_flight import free_ports
@@ -252,9 +252,12 @@ def test_a_sender_that_falls_silent_is_reported_within_the_patience(stream, monk
 
 def test_the_delay_that_a_camera_is_known_to_have_is_taken_off_and_granted_by_the_gate(stream):
     chosen = Config(camera=CameraConfig(delay_s=0.15))
-    command = Run("udpin:127.0.0.1:1", camera=stream().uri, target="10,10,30,40", config=chosen)
+    command = RunCommand("udpin:127.0.0.1:1", camera=stream().uri, target="10,10,30,40", config=chosen)
     began_t_s = time.monotonic()
-    with SimLink(Vehicle(Autopilot.PX4, Motion())) as link, (seen := eye(command, link, lambda _line: None)).camera:
+    with (
+        SimLink(Vehicle(Autopilot.PX4, VehicleTruth())) as link,
+        (seen := eye(command, link, lambda _line: None)).camera,
+    ):
         frame = next(frame for frame in seen.camera.frames() if frame is not None)
         assert began_t_s - 0.15 < frame.t_s < time.monotonic() - 0.15
     assert seen.config.limits.latency_s == 0.15

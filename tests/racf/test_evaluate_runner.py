@@ -11,7 +11,7 @@ import tests.support.rendered_benchmarks as rendered
 from racf.box import Box
 from racf.evaluate.benchmarks import read_benchmark
 from racf.evaluate.report import build_report
-from racf.evaluate.runner import Run, jittered, run_all, run_task, tasks
+from racf.evaluate.runner import SequenceRun, jittered, run_all, run_task, tasks
 from racf.evaluate.stored import Stored
 from racf.track import Track
 
@@ -145,7 +145,7 @@ def test_jittered_starts_are_drawn_by_sequence_and_start_and_stay_near_the_targe
 
 
 def test_the_means_are_over_the_sequences_that_every_row_has(sequences):
-    runs = {"ours": {s.name: [Run(s.truth, 10.0, {}), Run(s.truth + 50, 10.0, {})] for s in sequences}}
+    runs = {"ours": {s.name: [SequenceRun(s.truth, 10.0, {}), SequenceRun(s.truth + 50, 10.0, {})] for s in sequences}}
     stored = {"theirs": Stored({s.name: s.truth + np.array([25, 0, 0, 0]) for s in sequences[:2]})}
     report = build_report(sequences, runs, stored)
     assert report.counted == tuple(s.name for s in sequences[:2])

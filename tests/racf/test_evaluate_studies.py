@@ -9,11 +9,11 @@ import tests.support.rendered_benchmarks as rendered
 from racf.evaluate import plots, studies
 from racf.evaluate.benchmarks import read_benchmark
 from racf.evaluate.report import build_report
-from racf.evaluate.runner import Run
+from racf.evaluate.runner import SequenceRun
 from racf.evaluate.stored import Stored
 from tests.racf.test_cli import racf
 
-GRID = studies.Grid(iterations=(1, 2), etas=(0.5, 1.0))
+GRID = studies.Sweep(iterations=(1, 2), etas=(0.5, 1.0))
 
 
 @pytest.fixture
@@ -26,7 +26,7 @@ def sequences(tmp_path):
 def report_of(sequences, shifts: dict[str, float]):
     """Trackers whose every box after the first is off by so many pixels."""
     runs = {
-        label: {s.name: [Run(s.truth + np.array([shift, 0, 0, 0]), 50.0, {})] for s in sequences}
+        label: {s.name: [SequenceRun(s.truth + np.array([shift, 0, 0, 0]), 50.0, {})] for s in sequences}
         for label, shift in shifts.items()
     }
     return build_report(sequences, runs, {})
@@ -50,7 +50,9 @@ def test_table_3_has_a_row_a_tracker_and_marks_its_best_iteration(sequences):
 
 
 def test_jittered_starts_count_in_table_3_as_the_nominal_one_does(sequences):
-    perfect, gone = (lambda s, shift=shift: Run(s.truth + np.array([shift, 0, 0, 0]), 50.0, {}) for shift in (0, 1000))
+    perfect, gone = (
+        lambda s, shift=shift: SequenceRun(s.truth + np.array([shift, 0, 0, 0]), 50.0, {}) for shift in (0, 1000)
+    )
     runs = {label: {s.name: [perfect(s), gone(s)] for s in sequences} for label in studies.trackers_of(3, GRID)}
     nominal = {label: {name: starts[:1] for name, starts in of.items()} for label, of in runs.items()}
     both, one = (
@@ -139,7 +141,9 @@ def test_attributes_have_tables_and_a_figure_where_two_sequences_share_one(tmp_p
 
 def test_pictures_are_of_the_sequences_that_tell_the_trackers_apart(sequences):
     runs = {
-        label: {s.name: [Run(s.truth + np.array([shift * i, 0, 0, 0]), 1.0, {})] for i, s in enumerate(sequences)}
+        label: {
+            s.name: [SequenceRun(s.truth + np.array([shift * i, 0, 0, 0]), 1.0, {})] for i, s in enumerate(sequences)
+        }
         for label, shift in {"good": 0.0, "bad": 5.0}.items()
     }
     report = build_report(sequences, runs, {})

@@ -8,7 +8,7 @@ import pytest
 import scipy.fft
 
 from racf.filter import Learned, bowl_weight, learn, solve_g, solve_rank_two_numpy
-from racf.fourier import Grid
+from racf.fourier import PrunedDft
 from racf.params import Params
 from racf.response import refine_peak
 
@@ -29,14 +29,14 @@ def centred_rfft2(x: np.ndarray) -> np.ndarray:
 
 
 @pytest.fixture
-def grid() -> Grid:
-    return Grid(ROWS, COLS, SUPPORT)
+def grid() -> PrunedDft:
+    return PrunedDft(ROWS, COLS, SUPPORT)
 
 
 @pytest.mark.parametrize("size", [(9, 12), (12, 9), (10, 10), (7, 7)])
 def test_dense_transforms_equal_an_fft(size):
     rng = np.random.default_rng(0)
-    grid = Grid(*size, (4, 5))
+    grid = PrunedDft(*size, (4, 5))
     x = rng.normal(size=(*size, CHANNELS)).astype(np.float32)
     np.testing.assert_allclose(grid.forward(x), planes(centred_rfft2(x)), atol=1e-4)
     top, left = size[0] // 2 - 2, size[1] // 2 - 2
@@ -111,7 +111,7 @@ class Problem:
         return float(0.5 * f.ravel() @ matrix @ f.ravel() - right @ f.ravel())
 
     def solve(self, iterations: int, growth: float, *, warm: bool = True) -> np.ndarray:
-        grid = Grid(ROWS, COLS, SUPPORT)
+        grid = PrunedDft(ROWS, COLS, SUPPORT)
         params = dataclasses.replace(self.params, admm_iterations=iterations, penalty_growth=growth, warm_start=warm)
         y_f = planes(scipy.fft.rfft2(self.y))
         x_f, d_f = grid.forward(self.x), grid.forward(self.delta)

@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import common as dialect
 from follow.messages import Autopilot
 from sim.autopilot.parameters import OBEYED, REPORTED
 from sim.autopilot.system import AutopilotSystem
-from sim.dynamics import Motion, Vehicle
+from sim.dynamics import Vehicle, VehicleTruth
 from tests.support.autopilot_pair import CONTROL
 
 PX4, ARDUPILOT = Autopilot.PX4, Autopilot.ARDUPILOT
@@ -27,7 +27,7 @@ class Bench:
     """A raw MAVLink peer of a vehicle that hovers 10 m high; no code of ours on its side."""
 
     def __init__(self, autopilot: Autopilot, height_m: float = 10.0, **parameters: float):
-        vehicle = Vehicle(autopilot, Motion(down_m=-height_m))
+        vehicle = Vehicle(autopilot, VehicleTruth(down_m=-height_m))
         self.system = AutopilotSystem(autopilot, vehicle)
         self.flight = self.system.flight
         self.flight.parameters.update(parameters)
@@ -513,7 +513,7 @@ def test_a_parameter_is_read_by_the_flight_or_told_as_not_obeyed(autopilot):
 
 def test_the_signing_time_begins_where_it_is_told_and_goes_with_the_callers_clock():
     key, begin = bytes(range(32)), 36_000_000_000_000  # in 2026
-    system = AutopilotSystem(PX4, Vehicle(PX4, Motion(down_m=-5.0)), key=key, signing_time=begin)
+    system = AutopilotSystem(PX4, Vehicle(PX4, VehicleTruth(down_m=-5.0)), key=key, signing_time=begin)
     for t_s in (0.02, 600.0):
         system.step(t_s)
         packet = system.take()[-1]
@@ -522,7 +522,7 @@ def test_the_signing_time_begins_where_it_is_told_and_goes_with_the_callers_cloc
 
 
 def test_two_links_hear_each_others_broadcasts_and_only_their_own_answers():
-    system = AutopilotSystem(PX4, Vehicle(PX4, Motion(down_m=-5.0)), links=2)
+    system = AutopilotSystem(PX4, Vehicle(PX4, VehicleTruth(down_m=-5.0)), links=2)
     station, companion = dialect.MAVLink(None, 255, 190), dialect.MAVLink(None, 1, 191)
     system.receive(companion.heartbeat_encode(18, 8, 0, 0, 4).pack(companion), link=0)
     system.receive(station.heartbeat_encode(6, 8, 0, 0, 4).pack(station), link=1)

@@ -7,18 +7,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from follow.messages import HOVER, Autopilot, Setpoint
-from sim.dynamics import ANSWERS, Motion, Vehicle, Wind
+from sim.dynamics import ANSWERS, Vehicle, VehicleTruth, Wind
 
-HIGH = Motion(down_m=-100.0)
+HIGH = VehicleTruth(down_m=-100.0)
 both = pytest.mark.parametrize("autopilot", list(Autopilot))
 
 
-def still(autopilot: Autopilot, start: Motion = HIGH, **more) -> Vehicle:
+def still(autopilot: Autopilot, start: VehicleTruth = HIGH, **more) -> Vehicle:
     """A vehicle that does not wander."""
     return Vehicle(autopilot, start, answer=replace(ANSWERS[autopilot], drift_m_s=0.0), **more)
 
 
-def fly(vehicle: Vehicle, setpoint: Setpoint, seconds: float, dt: float = 0.05) -> list[Motion]:
+def fly(vehicle: Vehicle, setpoint: Setpoint, seconds: float, dt: float = 0.05) -> list[VehicleTruth]:
     return [vehicle.step(setpoint, dt) for _ in range(round(seconds / dt))]
 
 
@@ -104,7 +104,7 @@ def test_flying_backward_tilts_the_nose_up_and_rightward_the_right_side_down(aut
 
 @both
 def test_the_ground_stops_the_descent_and_it_takes_off_again(autopilot):
-    vehicle = still(autopilot, Motion(down_m=-2.0))
+    vehicle = still(autopilot, VehicleTruth(down_m=-2.0))
     m = fly(vehicle, Setpoint(forward_m_s=1.0, down_m_s=1.0), 6.0)[-1]
     assert (m.landed, m.down_m, m.north_m_s, m.pitch_rad) == (True, 0.0, 0.0, 0.0)
     m = fly(vehicle, Setpoint(down_m_s=-1.0), 4.0)[-1]

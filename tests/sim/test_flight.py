@@ -7,13 +7,13 @@ import pytest
 from follow.geometry import Intrinsics
 from follow.messages import HOVER, Autopilot, Setpoint
 from racf.box import Box
-from sim.camera import CameraSettings, LiveFlight, SceneCamera, Truth
-from sim.dynamics import Motion, Vehicle
+from sim.camera import CameraSettings, FrameTruth, LiveFlight, SceneCamera
+from sim.dynamics import Vehicle, VehicleTruth
 from sim.link import PATIENCE_S, SimLink
 from sim.scenarios import SCENARIOS, build
 from sim.scene.rendering import Seen
-from sim.scene.world import GAITS, Kind, Leg, Place, route
-from sim.score import Row, score
+from sim.scene.world import GAITS, ActorPose, Kind, Leg, route
+from sim.score import ScoredTick, score
 
 BLANK = np.zeros((360, 640, 3), np.uint8)
 NOTHING = (Seen(None, 0.0),)
@@ -68,7 +68,7 @@ def test_dropped_pictures_leave_gaps_in_number_as_they_would_on_a_wire():
 
 @both
 def test_the_link_flies_the_setpoint_and_tells_it(autopilot):
-    link = SimLink(Vehicle(autopilot, Motion(down_m=-20.0)))
+    link = SimLink(Vehicle(autopilot, VehicleTruth(down_m=-20.0)))
     for _ in range(300):
         link.send(Setpoint(forward_m_s=2.0))
         link.advance(1 / 30)
@@ -81,7 +81,7 @@ def test_the_link_flies_the_setpoint_and_tells_it(autopilot):
 
 @both
 def test_when_the_stream_stops_the_vehicle_flies_on_and_then_does_what_was_measured(autopilot):
-    link = SimLink(Vehicle(autopilot, Motion(down_m=-20.0)))
+    link = SimLink(Vehicle(autopilot, VehicleTruth(down_m=-20.0)))
     for _ in range(240):
         link.send(Setpoint(forward_m_s=2.0))
         link.advance(1 / 30)
@@ -101,15 +101,15 @@ def test_when_the_stream_stops_the_vehicle_flies_on_and_then_does_what_was_measu
 
 
 def test_leaving_the_link_ends_in_hover():
-    link = SimLink(Vehicle(Autopilot.PX4, Motion(down_m=-20.0)))
+    link = SimLink(Vehicle(Autopilot.PX4, VehicleTruth(down_m=-20.0)))
     with link:
         link.send(Setpoint(1.0))
     assert link.setpoint == HOVER
 
 
 def test_a_live_flight_puts_the_scene_where_the_vehicle_is():
-    vehicle = Vehicle(Autopilot.ARDUPILOT, Motion(north_m=70.0, east_m=-30.0, down_m=-6.0, yaw_rad=2.0))
-    start = Motion(north_m=-9.0, down_m=-6.0, yaw_rad=0.1)
+    vehicle = Vehicle(Autopilot.ARDUPILOT, VehicleTruth(north_m=70.0, east_m=-30.0, down_m=-6.0, yaw_rad=2.0))
+    start = VehicleTruth(north_m=-9.0, down_m=-6.0, yaw_rad=0.1)
     flight = LiveFlight(SimLink(vehicle), start)
     first = flight.advance(0.0)
     assert (first.north_m, first.east_m, first.yaw_rad) == pytest.approx((-9.0, 0.0, 0.1))
@@ -143,16 +143,16 @@ def test_an_actor_stops_where_it_is_told_for_as_long():
 CAMERA = Intrinsics.from_fov(640, 360, 1.4)
 
 
-def rows(boxes, tracked=None, sent=HOVER, others=None, visible=None, dt=0.1) -> list[Row]:
+def rows(boxes, tracked=None, sent=HOVER, others=None, visible=None, dt=0.1) -> list[ScoredTick]:
     """A flight told by its true boxes; the tracker is right unless told otherwise."""
     out = []
     for k, box in enumerate(boxes):
-        motion = Motion(t_s=k * dt, down_m=-6.0)
+        motion = VehicleTruth(t_s=k * dt, down_m=-6.0)
         seen = (Seen(box, visible[k] if visible else 1.0), *((Seen(others[k], 1.0),) if others else ()))
-        place = Place(9.0, 0.0, 0.0, 0.0, 0.0)
-        truth = Truth(k, k * dt, motion, (place,) * len(seen), seen)
+        place = ActorPose(9.0, 0.0, 0.0, 0.0, 0.0)
+        truth = FrameTruth(k, k * dt, motion, (place,) * len(seen), seen)
         setpoint = sent[k] if isinstance(sent, list) else sent
-        out.append(Row(k * dt, motion, setpoint, 0.0, "follow", tracked[k] if tracked else box, True, truth))
+        out.append(ScoredTick(k * dt, motion, setpoint, 0.0, "follow", tracked[k] if tracked else box, True, truth))
     return out
 
 

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from follow.link.client import MavlinkClient
 from follow.messages import HOVER, Autopilot, Setpoint, VehicleState
 from sim.autopilot.system import AutopilotSystem
-from sim.dynamics import Motion, Vehicle
+from sim.dynamics import Vehicle, VehicleTruth
 
 STEP_S = 0.02
 CONTROL = {Autopilot.PX4: "OFFBOARD", Autopilot.ARDUPILOT: "GUIDED"}
@@ -17,7 +17,7 @@ class Pair:
     """`setpoint` is streamed while it is not None; `to_autopilot` and `to_client` may spoil what passes."""
 
     def __init__(self, autopilot: Autopilot, height_m: float = 10.0, key: bytes | None = None, **client):
-        start = Motion(down_m=-height_m)
+        start = VehicleTruth(down_m=-height_m)
         self.system = AutopilotSystem(autopilot, Vehicle(autopilot, start), key=key)
         self.client = MavlinkClient(**client)
         self.t_s = 0.0
@@ -41,7 +41,7 @@ class Pair:
         return self.client.state(self.t_s)
 
     @property
-    def motion(self) -> Motion:
+    def motion(self) -> VehicleTruth:
         return self.system.flight.vehicle.motion
 
     def fly(self) -> "Pair":

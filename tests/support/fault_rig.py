@@ -23,7 +23,7 @@ from follow.safety.gate import Limits, Safety
 from racf.box import Box
 from racf.track import Track
 from sim.autopilot.system import AutopilotSystem
-from sim.dynamics import Motion, Vehicle
+from sim.dynamics import Vehicle, VehicleTruth
 
 FRAME_S = 1 / 30
 SUBSTEPS = 4  # of a frame: telemetry of 50 Hz comes at its own times
@@ -51,7 +51,7 @@ class Sample:
     """The truth at one moment, and what was sent in it."""
 
     t_s: float
-    motion: Motion
+    motion: VehicleTruth
     mode: str  # the autopilot's
     setpoints: int
     modes_asked: int
@@ -73,7 +73,7 @@ class Rig:
     to_autopilot: Way = unspoilt
     see: Callable[[Frame | None], Frame | None] = lambda frame: frame
     track: Callable[[Track], Track] = lambda track: track
-    wish: Callable[[Setpoint], Setpoint] = lambda wish: wish
+    desired: Callable[[Setpoint], Setpoint] = lambda desired: desired
     samples: list[Sample] = field(default_factory=list)
     ticks: list[Tick] = field(default_factory=list)
     lines: list[str] = field(default_factory=list)
@@ -81,7 +81,7 @@ class Rig:
     chance: random.Random = field(default_factory=lambda: random.Random(0))
 
     def __post_init__(self) -> None:
-        start = Motion(down_m=-HEIGHT_M)
+        start = VehicleTruth(down_m=-HEIGHT_M)
         self.system = AutopilotSystem(self.autopilot, Vehicle(self.autopilot, start))
         self.system.flight.parameters.update(PARAMETERS[self.autopilot])
         self.client = MavlinkClient()
@@ -94,7 +94,7 @@ class Rig:
     # The world
 
     @property
-    def motion(self) -> Motion:
+    def motion(self) -> VehicleTruth:
         return self.system.flight.vehicle.motion
 
     @property
@@ -205,7 +205,7 @@ class Wishing:
     rig: Rig
 
     def update(self, estimate, state) -> Setpoint:
-        return self.rig.wish(self.servo.update(estimate, state))
+        return self.rig.desired(self.servo.update(estimate, state))
 
 
 @dataclass(frozen=True)

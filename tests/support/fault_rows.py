@@ -286,16 +286,16 @@ def our_clock(by_s: float) -> Callable[[Rig], None]:
     return inject
 
 
-def wish(setpoint: Setpoint) -> Callable[[Rig], None]:
+def desired(setpoint: Setpoint) -> Callable[[Rig], None]:
     def inject(rig: Rig) -> None:
-        rig.wish = lambda _wish: setpoint
+        rig.desired = lambda _wish: setpoint
 
     return inject
 
 
 def wild_wish(rig: Rig) -> None:
     """The servo asks for anything."""
-    rig.wish = lambda _wish: Setpoint(*(rig.chance.choice((math.nan, math.inf, 1e9, -1e9, 5.0)) for _ in range(4)))
+    rig.desired = lambda _wish: Setpoint(*(rig.chance.choice((math.nan, math.inf, 1e9, -1e9, 5.0)) for _ in range(4)))
 
 
 def stick(rig: Rig) -> None:
@@ -369,13 +369,13 @@ ROWS = (
     ),
     Row(
         "altitude floor reached",
-        wish(Setpoint(down_m_s=2.0)),
+        desired(Setpoint(down_m_s=2.0)),
         within("stays above", "2 m - 0.3 m", lambda o: o.lowest_m, lambda v: v > 1.7),
         fast=True,
     ),
     Row(
         "altitude ceiling reached",
-        wish(Setpoint(down_m_s=-2.0)),
+        desired(Setpoint(down_m_s=-2.0)),
         within("stays below", "11 m + 0.3 m", lambda o: o.highest_m, lambda v: v < 11.3),
         {"limits": LOW},
     ),

@@ -269,7 +269,7 @@ class Real:
     def order(self) -> None:
         """Order FOLLOW by SIGUSR1, once, and wait until it flies."""
         self.application.process.send_signal(signal.SIGUSR1)
-        self.application.wait_until_said(r": follow", 8.0)  # the gate gives up after 5 s (Limits.engage_s)
+        self.application.wait_until_said(r": follow", 8.0)  # the gate gives up after 5 s (Limits.engage_timeout_s)
 
 
 @contextlib.contextmanager

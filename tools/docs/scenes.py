@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from follow.messages import Autopilot
-from sim.dynamics import Motion
+from sim.dynamics import VehicleTruth
 from sim.scenarios import SCENARIOS, build
 
 PANELS = [("walker", 2, 4.0), ("trees", 1, 2.0), ("cyclist", 3, 5.0), ("car", 4, 6.0)]  # scenario, seed, time
@@ -25,7 +25,7 @@ def panel(name: str, seed: int, t_s: float) -> np.ndarray:
     camera, _, world = build(scenario, seed, Autopilot.PX4)
     place = world.target(t_s)
     c, s = np.cos(place.heading_rad), np.sin(place.heading_rad)
-    motion = Motion(
+    motion = VehicleTruth(
         t_s=t_s,
         north_m=place.north_m - scenario.standoff_m * c,
         east_m=place.east_m - scenario.standoff_m * s,

@@ -57,9 +57,9 @@ def flight(rng: random.Random, rounds: int):
         near = abs(number(rng, 15, wild))
         estimate = Estimate(t_s, number(rng, 0.5, wild), number(rng, 0.5, wild), near, abs(number(rng, 2, wild)),
                             number(rng, 3, wild), number(rng, 3, wild), t_s - age[3])  # fmt: skip
-        wish = Setpoint(*(number(rng, 10, wild) for _ in range(4)))
+        desired = Setpoint(*(number(rng, 10, wild) for _ in range(4)))
         order = Order.FOLLOW if i == 0 or rng.random() < 0.01 else None
-        yield wish, estimate, state, t_s - age[4], order
+        yield desired, estimate, state, t_s - age[4], order
 
 
 def breach(before: Gate, gate: Gate, decision: Decision, state: VehicleState, fresh: bool) -> str | None:
@@ -98,14 +98,14 @@ def main() -> int:
     modes: dict[str, int] = {}
     while done < args.rounds:
         gate = Gate()
-        for wish, estimate, state, frame_t_s, order in flight(rng, 400):
+        for desired, estimate, state, frame_t_s, order in flight(rng, 400):
             if order:
                 gate = Gate(**{**{n: getattr(gate, n) for n in Gate.__slots__}, "ordered": order, "ordered_t_s": None})
             before = gate
-            gate, decision = decide(gate, wish, estimate, state, frame_t_s, LIMITS)
-            begun = before.mode.value in ("observe", "ready", "ended", "engage")
-            if broken := breach(before, gate, decision, state, begun):
-                print(f"round {done}: {broken}\n{before}\n{wish}\n{estimate}\n{state}\n{decision}", file=sys.stderr)
+            gate, decision = decide(gate, desired, estimate, state, frame_t_s, LIMITS)
+            start_ramps = before.mode.value in ("observe", "ready", "ended", "engage")
+            if broken := breach(before, gate, decision, state, start_ramps):
+                print(f"round {done}: {broken}\n{before}\n{desired}\n{estimate}\n{state}\n{decision}", file=sys.stderr)
                 return 1
             modes[decision.mode] = modes.get(decision.mode, 0) + 1
             sent += decision.setpoint is not None

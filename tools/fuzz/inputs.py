@@ -31,12 +31,12 @@ from follow.cli.settings import as_toml, read_settings
 from follow.link.client import MavlinkClient
 from follow.link.signing import read_key
 from follow.messages import Autopilot, Setpoint, VehicleState
-from follow.recording.scoring import Truth
+from follow.recording.scoring import Annotations
 from racf.box import Box
 from racf.commandline import UsageError, parse
 from racf.evaluate.boxfiles import read_boxes
 from sim.autopilot.system import AutopilotSystem
-from sim.dynamics import Motion, Vehicle
+from sim.dynamics import Vehicle, VehicleTruth
 
 HANG_S = 5.0  # longer than any of these may take on a small board
 REFUSALS = (ValueError, OSError, CameraError, UsageError)
@@ -68,7 +68,7 @@ def mutated(seed: bytes, rng: random.Random) -> bytes:
 
 def mavlink_target() -> tuple[list[bytes], Target]:
     """The client, one for a whole run, by datagrams and as a stream in turn; its numbers stay finite."""
-    system = AutopilotSystem(Autopilot.PX4, Vehicle(Autopilot.PX4, Motion(down_m=-5.0)))
+    system = AutopilotSystem(Autopilot.PX4, Vehicle(Autopilot.PX4, VehicleTruth(down_m=-5.0)))
     seeds: list[bytes] = []
     for i in range(60):
         system.step(0.05 * i)
@@ -172,7 +172,7 @@ def targets(folder: Path) -> dict[str, tuple[list[bytes], Target]]:
         "command lines": (words, command_line),
         "settings files": (settings_seeds(), file_target(folder / "settings.toml", settings)),
         "boxes in the command line": ([b"1,2,3,4"], lambda data: str(Box.parse(data.decode())) and None),
-        "truth files": (boxes, file_target(folder / "truth.txt", Truth)),
+        "truth files": (boxes, file_target(folder / "truth.txt", Annotations)),
         "box files": (boxes, file_target(folder / "boxes.csv", read_boxes)),
         "signing keys": ([bytes(range(32)), b"00" * 32], file_target(folder / "key", read_key)),
         "video files": ([video.read_bytes()], file_target(folder / "film.avi", look)),

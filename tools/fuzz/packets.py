@@ -15,7 +15,7 @@ from pymavlink.dialects.v20 import common as dialect
 from follow.link.client import MavlinkClient
 from follow.messages import Autopilot
 from sim.autopilot.system import AutopilotSystem
-from sim.dynamics import Motion, Vehicle
+from sim.dynamics import Vehicle, VehicleTruth
 
 LONGEST_READ_S = 0.5  # a hang; the loop's deadline is 50 ms, but this runs on loaded machines
 CHUNK = 2000  # bytes read at once
@@ -50,7 +50,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     chance = random.Random(options.seed)
-    system = AutopilotSystem(Autopilot.PX4, Vehicle(Autopilot.PX4, Motion(down_m=-10.0)))
+    system = AutopilotSystem(Autopilot.PX4, Vehicle(Autopilot.PX4, VehicleTruth(down_m=-10.0)))
     clients = {way: MavlinkClient() for way in (True, False)}
     fresh = dialect.MAVLink(None, 1, 1)
     good = fresh.heartbeat_encode(2, 12, 1, 0, 4).pack(fresh)

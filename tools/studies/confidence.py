@@ -61,13 +61,13 @@ def measure(folder: Path, truth: np.ndarray, tracker: str, frames: int, into: Ra
         if k % EVERY == 0 and accepted >= CONFIG.settle and overlaps[-1] >= ON and prior is not None:
             look = copy.deepcopy(finder).update(image, prior)
             if look.box.iou(box) < OFF:
-                into.elsewhere.append(look.psr / min(usual, CONFIG.sharp_psr))
+                into.elsewhere.append(look.psr / min(usual, CONFIG.psr_cap))
         track = finder.update(image)
         overlaps.append(track.box.iou(box))
         if accepted >= CONFIG.settle:
-            into.followed.append(track.psr / min(usual, CONFIG.sharp_psr))
+            into.followed.append(track.psr / min(usual, CONFIG.psr_cap))
             into.overlap.append(overlaps[-1])
-        if accepted < CONFIG.settle or track.psr >= CONFIG.lose_psr * min(usual, CONFIG.sharp_psr):
+        if accepted < CONFIG.settle or track.psr >= CONFIG.psr_ratio_lost * min(usual, CONFIG.psr_cap):
             accepted += 1
             usual += max(CONFIG.psr_rate, 1 / accepted) * (track.psr - usual)
     return overlaps
@@ -103,7 +103,7 @@ def draw(ratio: np.ndarray, overlap: np.ndarray, elsewhere: np.ndarray, out: Pat
     axes.scatter(overlap, np.minimum(ratio, 2.0), s=4, alpha=0.3, linewidths=0, label="as it was followed")
     spread = np.linspace(-0.06, -0.02, len(elsewhere))
     axes.scatter(spread, np.minimum(elsewhere, 2.0), s=4, color="tab:orange", linewidths=0, label="looking elsewhere")
-    for value, name in ((CONFIG.lose_psr, "lost below"), (CONFIG.regain_psr, "found again above")):
+    for value, name in ((CONFIG.psr_ratio_lost, "lost below"), (CONFIG.psr_ratio_regained, "found again above")):
         axes.axhline(value, lw=1, color="tab:red", ls="--" if name.startswith("lost") else ":", label=f"{name} {value}")
     axes.set(xlabel="overlap with the annotated box", ylabel="PSR over its usual value", ylim=(0, 2))
     axes.legend(loc="upper left")

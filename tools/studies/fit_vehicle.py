@@ -19,7 +19,7 @@ from matplotlib import pyplot as plt
 from scipy.optimize import least_squares
 
 from follow.messages import Autopilot, Setpoint
-from sim.dynamics import ANSWERS, Answer, Motion, Vehicle
+from sim.dynamics import ANSWERS, ResponseModel, Vehicle, VehicleTruth
 
 matplotlib.use("Agg")
 
@@ -48,9 +48,13 @@ def read(path: Path) -> dict[str, tuple[Setpoint, Setpoint, np.ndarray]]:
     return out
 
 
-def simulate(autopilot: Autopilot, answer: Answer, before: Setpoint, command: Setpoint, v0: np.ndarray) -> np.ndarray:
+def simulate(
+    autopilot: Autopilot, answer: ResponseModel, before: Setpoint, command: Setpoint, v0: np.ndarray
+) -> np.ndarray:
     """The model's own row of COLUMNS[1:] at each T, from the measured velocity of the step's first sample."""
-    start = Motion(down_m=-100.0, north_m_s=v0[0], east_m_s=v0[1], down_m_s=v0[2], yaw_rate_rad_s=before.yaw_rate_rad_s)
+    start = VehicleTruth(
+        down_m=-100.0, north_m_s=v0[0], east_m_s=v0[1], down_m_s=v0[2], yaw_rate_rad_s=before.yaw_rate_rad_s
+    )
     vehicle = Vehicle(autopilot, start, answer=replace(answer, drift_m_s=0.0))
     rows = []
     for _ in T:
@@ -62,7 +66,7 @@ def simulate(autopilot: Autopilot, answer: Answer, before: Setpoint, command: Se
     return np.array(rows)
 
 
-def curves(autopilot: Autopilot, answer: Answer, steps: dict, labels: Iterable[str]) -> dict[str, np.ndarray]:
+def curves(autopilot: Autopilot, answer: ResponseModel, steps: dict, labels: Iterable[str]) -> dict[str, np.ndarray]:
     """The model's curves of these steps."""
     out = {}
     for label in labels:
@@ -79,12 +83,12 @@ class Group:
     weights: dict[int, float]  # column of the curves: how much a unit of it counts
     bounds: dict[str, tuple[float, float]]
 
-    def start(self, answer: Answer) -> np.ndarray:
+    def start(self, answer: ResponseModel) -> np.ndarray:
         """The parameters in `answer`, just inside their bounds."""
         low, high = np.array(list(self.bounds.values())).T
         return np.clip([reach(answer, path) for path in self.bounds], low + 1e-6, high - 1e-6)
 
-    def apply(self, answer: Answer, values: np.ndarray) -> Answer:
+    def apply(self, answer: ResponseModel, values: np.ndarray) -> ResponseModel:
         """`answer` with these parameters."""
         for path, value in zip(self.bounds, values, strict=True):
             head, _, tail = path.partition(".")
@@ -93,7 +97,7 @@ class Group:
         return answer
 
 
-def reach(answer: Answer, path: str) -> float:
+def reach(answer: ResponseModel, path: str) -> float:
     """The number at a dotted path."""
     for name in path.split("."):
         answer = getattr(answer, name)
@@ -139,7 +143,7 @@ GROUPS = (
 )
 
 
-def fit_group(autopilot: Autopilot, steps: dict, answer: Answer, group: Group) -> Answer:
+def fit_group(autopilot: Autopilot, steps: dict, answer: ResponseModel, group: Group) -> ResponseModel:
     """Least squares over the parameters of one group."""
 
     def residual(values: np.ndarray) -> np.ndarray:

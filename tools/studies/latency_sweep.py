@@ -17,10 +17,10 @@ from follow.safety.gate import Limits, Safety
 from racf.evaluate.trackers import TrackerSpec
 from racf.threads import one_core
 from sim.scenarios import SCENARIOS, Scenario, build
-from sim.score import Row, Score, score
+from sim.score import FlightScore, ScoredTick, score
 
 
-def fly(scenario: Scenario, seed: int, autopilot: Autopilot, tracker: str, *, compensate: bool) -> Score:
+def fly(scenario: Scenario, seed: int, autopilot: Autopilot, tracker: str, *, compensate: bool) -> FlightScore:
     """One flight's score."""
     camera, link, _ = build(scenario, seed, autopilot)
     lens, down_rad = camera.settings.intrinsics, camera.settings.down_rad
@@ -34,7 +34,7 @@ def fly(scenario: Scenario, seed: int, autopilot: Autopilot, tracker: str, *, co
     finder.init(frame.image, box)
     rows = []
     for tick in follow(camera, link, finder, target, servo, safety):
-        rows.append(Row.of(tick, link.vehicle.motion, camera.truth(tick.frame.index) if tick.frame else None))
+        rows.append(ScoredTick.of(tick, link.vehicle.motion, camera.truth(tick.frame.index) if tick.frame else None))
     return score(rows, lens, scenario.standoff_m, asdict(safety.limits))
 
 
