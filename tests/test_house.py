@@ -1,0 +1,283 @@
+"""The house's own rules: short files and functions, one name for one class, plain words.
+
+What does not yet obey stands in three lists, which may only get shorter; a file that is not in a list must obey.
+"""
+
+import ast
+import io
+import re
+import tokenize
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("racf", "follow", "sim")
+CODE = (*PACKAGES, "tests", "tools", "benchmarks", "examples")
+FILE_LINES = 400
+FUNCTION_LINES = 50
+
+LONG_FILES: dict[str, int] = {"tests/sim/test_autopilot_rules.py": 535}
+"""Files over the limit -> the lines they may have at most, until somebody splits them."""
+
+LONG_FUNCTIONS: dict[str, int] = {}
+"""The same for functions, as "file:function"."""
+
+TWICE = {"TrackerSpec"}
+"""Class names that still stand for two things."""
+
+BANNED = {
+    r"\bpictures?\b": "`frame` is the timestamped message, `image` the array",
+    r"\bwish(es|ed)?\b": "desired",
+    r"\bmend(s|ed|ing)?\b": "fix",
+    r"\banew\b": "again, new",
+    r"(?<!not )\bso (long|many)\b(?! (as|that)\b)": "for this long, at most N, timeout, grace period",
+    r"(?<!there )\bis none\b(?! of\b)": "invalid X, not an X",
+    r"\bstands? above\b": "overrides",
+    r"\b(is|are) (asked|said|thought)\b(?!( for)?( only)? by\b)": "name who asks, says or assumes",
+    r", too(?=\s*([.,;:)]|$))": "also",
+    r"(?<!not )\bbut for\b": "except, unless",
+    r"\bwhere (it is )?not given\b": "if not given",
+}
+"""Phrases that an engineer has to read twice -> what to write."""
+
+
+def sources(*folders: str) -> list[str]:
+    return sorted(str(path.relative_to(ROOT)) for folder in folders for path in (ROOT / folder).rglob("*.py"))
+
+
+def functions(source: str) -> Iterator[tuple[str, int]]:
+    """Each function of a file with its number of lines, decorators not counted."""
+    for node in ast.walk(ast.parse((ROOT / source).read_text())):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            assert node.end_lineno is not None
+            yield f"{source}:{node.name}", node.end_lineno - node.lineno + 1
+
+
+def prose_of_code(text: str) -> Iterator[str]:
+    """Comments (lines below each other as one), and strings that hold more than one word."""
+    comment, last = "", 0
+    for token in tokenize.generate_tokens(io.StringIO(text).readline):
+        if token.type == tokenize.COMMENT:
+            if comment and token.start[0] > last + 1:
+                yield comment
+                comment = ""
+            comment, last = f"{comment} {token.string.lstrip('# ')}", token.start[0]
+    yield comment
+    pieces: set[int] = set()
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.JoinedStr):  # a message with values in it: its constant parts make one sentence
+            parts = [part for part in node.values if isinstance(part, ast.Constant)]
+            pieces |= {id(part) for part in parts}
+            yield "…".join(str(part.value) for part in parts)
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in pieces:
+            yield node.value if " " in node.value else ""
+
+
+def prose_of_page(text: str) -> Iterator[str]:
+    """The paragraphs of a page without the names of options, files and fields in backticks."""
+    yield from re.sub(r"`[^`\n]+`", "`…`", text).split("\n\n")
+
+
+def findings(prose: Iterator[str]) -> list[str]:
+    """Each banned phrase with the words around it and its cure."""
+    found: list[str] = []
+    for text in prose:
+        line = " ".join(text.split())
+        for phrase, cure in BANNED.items():
+            for match in re.finditer(phrase, line):
+                around = line[max(match.start() - 40, 0) : match.end() + 30]
+                found.append(f"{around!r}: write {cure}")
+    return found
+
+
+def pages() -> list[str]:
+    return sorted(str(path.relative_to(ROOT)) for path in [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
+
+
+def all_findings() -> dict[str, list[str]]:
+    """File -> what it holds of the banned phrases.  This file, which quotes them, is left out."""
+    others = [source for source in sources(*CODE) if ROOT / source != Path(__file__)]
+    found = {source: findings(prose_of_code((ROOT / source).read_text())) for source in others}
+    found |= {page: findings(prose_of_page((ROOT / page).read_text())) for page in pages()}
+    return {name: lines for name, lines in found.items() if lines}
+
+
+WORDS_LEFT: dict[str, int] = {
+    "CHANGELOG.md": 9,
+    "README.md": 9,
+    "benchmarks/setpoint_timing.py": 4,
+    "docs/confidence.md": 9,
+    "docs/evaluation.md": 9,
+    "docs/faults.md": 6,
+    "docs/flights.md": 3,
+    "docs/limits.md": 9,
+    "docs/links.md": 5,
+    "docs/modes.md": 1,
+    "docs/racf.md": 9,
+    "docs/safety.md": 3,
+    "docs/scenes.md": 23,
+    "docs/service/README.md": 6,
+    "docs/vehicle.md": 2,
+    "follow/camera/realtime.py": 11,
+    "follow/camera/seam.py": 3,
+    "follow/camera/stream_clock.py": 5,
+    "follow/camera/video.py": 34,
+    "follow/camera/window.py": 4,
+    "follow/cli/commands.py": 12,
+    "follow/cli/doctor.py": 4,
+    "follow/cli/replay.py": 2,
+    "follow/cli/run.py": 1,
+    "follow/cli/settings.py": 2,
+    "follow/cli/sim.py": 1,
+    "follow/config.py": 2,
+    "follow/control/acquire.py": 6,
+    "follow/control/footage.py": 1,
+    "follow/control/pid.py": 1,
+    "follow/control/pose_history.py": 1,
+    "follow/control/servo.py": 2,
+    "follow/control/target.py": 22,
+    "follow/flight/live_flight.py": 2,
+    "follow/flight/parameters.py": 1,
+    "follow/flight/preflight.py": 13,
+    "follow/flight/session.py": 1,
+    "follow/geometry.py": 5,
+    "follow/link/client.py": 5,
+    "follow/link/connection.py": 1,
+    "follow/link/mavsdk_transport.py": 1,
+    "follow/link/replay.py": 3,
+    "follow/link/signing.py": 1,
+    "follow/loop.py": 5,
+    "follow/messages.py": 3,
+    "follow/operator/authority.py": 3,
+    "follow/ranges.py": 1,
+    "follow/recording/recorder.py": 6,
+    "follow/recording/rerun_log.py": 2,
+    "follow/recording/scoring.py": 5,
+    "follow/safety/gate.py": 4,
+    "follow/safety/limits.py": 9,
+    "follow/safety/ramps.py": 1,
+    "racf/__init__.py": 1,
+    "racf/box.py": 1,
+    "racf/cli.py": 10,
+    "racf/confidence.py": 1,
+    "racf/evaluate/benchmarks.py": 2,
+    "racf/evaluate/images.py": 5,
+    "racf/evaluate/metrics.py": 1,
+    "racf/evaluate/plots.py": 4,
+    "racf/evaluate/runner.py": 2,
+    "racf/evaluate/speed.py": 7,
+    "racf/evaluate/stored.py": 1,
+    "racf/evaluate/trackers.py": 1,
+    "racf/features.py": 1,
+    "racf/hog.py": 1,
+    "racf/kernels.py": 1,
+    "racf/motion.py": 5,
+    "racf/params.py": 2,
+    "racf/refine.py": 5,
+    "racf/scale.py": 2,
+    "racf/tracker.py": 15,
+    "racf/translation.py": 1,
+    "sim/autopilot/core.py": 1,
+    "sim/autopilot/program.py": 3,
+    "sim/camera.py": 11,
+    "sim/clip.py": 2,
+    "sim/plot.py": 6,
+    "sim/scenarios.py": 4,
+    "sim/scene/drawing.py": 5,
+    "sim/scene/ground.py": 2,
+    "sim/scene/optics.py": 11,
+    "sim/scene/rendering.py": 7,
+    "sim/scene/trees.py": 3,
+    "sim/score.py": 14,
+    "tests/follow/test_doctor_udp.py": 2,
+    "tests/follow/test_follow_cli.py": 3,
+    "tests/follow/test_following.py": 2,
+    "tests/follow/test_link_contract.py": 1,
+    "tests/follow/test_mavlink_doctor.py": 1,
+    "tests/follow/test_operator.py": 1,
+    "tests/follow/test_record_flight.py": 1,
+    "tests/follow/test_replay_link.py": 1,
+    "tests/follow/test_safety.py": 1,
+    "tests/follow/test_servo.py": 2,
+    "tests/follow/test_settings.py": 3,
+    "tests/follow/test_stream_clock.py": 3,
+    "tests/follow/test_target.py": 1,
+    "tests/follow/test_video_cameras.py": 14,
+    "tests/racf/test_cli.py": 1,
+    "tests/racf/test_evaluate_benchmarks.py": 2,
+    "tests/racf/test_evaluate_metrics.py": 1,
+    "tests/racf/test_evaluate_speed.py": 1,
+    "tests/racf/test_evaluate_studies.py": 3,
+    "tests/racf/test_robust.py": 1,
+    "tests/racf/test_solver.py": 1,
+    "tests/racf/test_tracker.py": 2,
+    "tests/support/fault_expectations.py": 1,
+    "tests/support/fault_rig.py": 3,
+    "tests/support/fault_rows.py": 6,
+    "tests/support/machine.py": 1,
+    "tools/docs/recording.py": 1,
+    "tools/docs/safety.py": 1,
+    "tools/docs/scenes.py": 5,
+    "tools/fuzz/gate.py": 2,
+    "tools/fuzz/inputs.py": 1,
+    "tools/studies/confidence.py": 10,
+    "tools/studies/fit_vehicle.py": 1,
+}
+"""Files with banned phrases -> how many they may hold at most, until whoever works there has rewritten them."""
+
+
+def test_no_file_is_longer_than_one_reading():
+    lines = {source: len((ROOT / source).read_text().splitlines()) for source in sources(*CODE)}
+    assert {s: n for s, n in lines.items() if n > LONG_FILES.get(s, FILE_LINES)} == {}
+    assert {s for s in LONG_FILES if lines[s] <= FILE_LINES} == set(), "take it off the list"
+
+
+def test_no_function_is_longer_than_a_screen():
+    lines = dict(function for source in sources(*PACKAGES) for function in functions(source))
+    assert {s: n for s, n in lines.items() if n > LONG_FUNCTIONS.get(s, FUNCTION_LINES)} == {}
+    assert {s for s in LONG_FUNCTIONS if lines[s] <= FUNCTION_LINES} == set(), "take it off the list"
+
+
+def test_a_class_name_means_one_thing():
+    where: defaultdict[str, list[str]] = defaultdict(list)
+    for source in sources(*PACKAGES):
+        for node in ast.walk(ast.parse((ROOT / source).read_text())):
+            if isinstance(node, ast.ClassDef):
+                where[node.name].append(source)
+    twice = {name: files for name, files in where.items() if len(files) > 1}
+    assert {name: files for name, files in twice.items() if name not in TWICE} == {}
+    assert set(twice) >= TWICE, "take it off the list"
+
+
+def test_words_are_plain():
+    found = all_findings()
+    worse = {name: lines for name, lines in found.items() if len(lines) > WORDS_LEFT.get(name, 0)}
+    assert not worse, "\n".join(f"{name}: {line}" for name, lines in worse.items() for line in lines)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "so long as it is heard",
+        "so many that no one counts",
+        "None when there is none",
+        "is none of ours",
+        "the box is too small, too late",
+        "not for the pilot, not but for him",
+        "what the pilot asked for",
+        "recommend, amend",
+        "a mode is asked for only by the pilot",
+        "it is None",
+    ],
+)
+def test_plain_words_are_let_through(text):
+    assert findings(iter([text])) == []
+
+
+def test_a_phrase_is_found_in_a_comment_over_two_lines_in_a_message_and_on_a_page():
+    code = '# unseen for\n# so long is lost\nx = 1\nprint(f"{x} is not there, too")\n'
+    assert len(findings(prose_of_code(code))) == 2
+    assert len(findings(prose_of_page("The *picture* stays; `record.pictures` is a name.\n\nA wish."))) == 2
