@@ -1,8 +1,8 @@
 """Pixels <-> bearings <-> the ground, for a camera fixed to a body that rolls, pitches and yaws.
 
-Camera axes: x right, y down in the picture, z along the optical axis.  Body axes are FRD, the world is NED.  A pixel's
-number is its left (upper) edge: pixel 0 covers [0, 1), so a calibration in OpenCV's convention (pixel 0 centred on 0)
-has 0.5 added to `cx` and `cy`.
+Camera axes: x right, y down in the image, z along the optical axis.  Body axes are FRD, the world is NED.  A pixel's
+coordinate is its left (upper) edge: pixel 0 covers [0, 1).  For a calibration in OpenCV's convention (pixel 0 centred
+on 0) add 0.5 to `cx` and `cy`.
 """
 
 import math
@@ -15,14 +15,14 @@ from typing_extensions import Self
 Array = NDArray[np.float64]
 
 UNDISTORT_STEPS = 20
-"""Fixed-point steps that undo the lens: each gains about a digit at the distortion of an action camera."""
+"""Fixed-point iterations that undo the distortion; each gains about a digit for an action camera."""
 
 
 @dataclass(frozen=True, slots=True)
 class Intrinsics:
     """A pinhole with Brown-Conrady distortion: pixels of focal length and centre, then k1, k2, p1, p2, k3.
 
-    Raises ValueError for a picture without area or a focal length that is not positive.
+    Raises ValueError for an image without area or a focal length that is not positive.
     """
 
     width: int
@@ -35,13 +35,13 @@ class Intrinsics:
 
     def __post_init__(self) -> None:
         if self.width <= 0 or self.height <= 0:
-            raise ValueError(f"a picture needs a positive width and height, not {self.width}x{self.height}")
+            raise ValueError(f"an image needs a positive width and height, not {self.width}x{self.height}")
         if not (self.fx > 0 and self.fy > 0 and math.isfinite(self.fx * self.fy)):
             raise ValueError(f"a focal length is a positive number of pixels, not {self.fx:g}, {self.fy:g}")
 
     @classmethod
     def from_fov(cls, width: int, height: int, horizontal_fov_rad: float) -> Self:
-        """Square pixels, centred, seeing `horizontal_fov_rad` from the left edge to the right one."""
+        """Make a centred camera with square pixels and this angle from the left edge to the right one."""
         if not 0 < horizontal_fov_rad < math.pi:
             raise ValueError(
                 f"a pinhole's horizontal field of view lies between 0 and 180 degrees, "
@@ -70,6 +70,21 @@ def body_to_ned(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Array:
     )
 
 
+def heading_to_ned(forward: float, right: float, heading_rad: float) -> tuple[float, float]:
+    """(north, east) of a level vector given as forward and right of a heading (radians clockwise from north).
+
+    The one place with this rotation; it is orthogonal, so `ned_to_heading` undoes it.  The same sum turns a vector from
+    a line of sight at `heading_rad` off the nose to the vehicle's own forward and right.
+    """
+    c, s = math.cos(heading_rad), math.sin(heading_rad)
+    return c * forward - s * right, s * forward + c * right
+
+
+def ned_to_heading(north: float, east: float, heading_rad: float) -> tuple[float, float]:
+    """(forward, right) of a heading (radians clockwise from north) of a level vector given as north and east."""
+    return heading_to_ned(north, east, -heading_rad)
+
+
 def camera_to_body(down_rad: float) -> Array:
     """(3, 3) rotation from camera to body axes; the optical axis looks `down_rad` below the body's nose."""
     c, s = math.cos(down_rad), math.sin(down_rad)
@@ -82,7 +97,7 @@ def camera_to_ned(down_rad: float, roll_rad: float, pitch_rad: float, yaw_rad: f
 
 
 def distort(camera: Intrinsics, ideal: Array) -> Array:
-    """(N, 2) points on the plane z = 1 as the lens moves them (Brown-Conrady)."""
+    """Map (N, 2) ideal points on the plane z = 1 to distorted ones (Brown-Conrady)."""
     k1, k2, p1, p2, k3 = camera.distortion
     x, y = ideal[:, 0], ideal[:, 1]
     r2 = x * x + y * y
@@ -97,7 +112,7 @@ def distort(camera: Intrinsics, ideal: Array) -> Array:
 
 
 def undistort(camera: Intrinsics, seen: Array) -> Array:
-    """(N, 2) points on the plane z = 1 before the lens moved them: x = seen - (distort(x) - x), iterated."""
+    """Map (N, 2) distorted points on the plane z = 1 to ideal ones: x = seen - (distort(x) - x), iterated."""
     ideal = seen
     if any(camera.distortion):
         for _ in range(UNDISTORT_STEPS):
@@ -116,7 +131,7 @@ def rays(camera: Intrinsics, pixels: ArrayLike) -> Array:
 def project(camera: Intrinsics, rotation: Array, camera_ned: ArrayLike, points_ned: ArrayLike) -> tuple[Array, Array]:
     """(N, 2) pixels and (N,) depths in metres of the (N, 3) points; behind the camera depth <= 0 and the pixel is NaN.
 
-    `rotation` is camera_to_ned and `camera_ned` the (3,) place of the lens.
+    `rotation` is camera_to_ned and `camera_ned` the (3,) position of the lens.
     """
     points = (np.asarray(points_ned, np.float64) - np.asarray(camera_ned, np.float64)) @ rotation
     depth = points[:, 2]
@@ -130,13 +145,13 @@ def ground_points(
     camera: Intrinsics, rotation: Array, camera_ned: ArrayLike, pixels: ArrayLike, ground_down_m: float = 0.0
 ) -> Array:
     """(N, 3) NED points where the pixels' rays meet the plane `down = ground_down_m`; NaN for rays that never do."""
-    place = np.asarray(camera_ned, np.float64)
+    position = np.asarray(camera_ned, np.float64)
     ray = rays(camera, pixels) @ rotation.T
-    fall = ground_down_m - place[2]
+    fall = ground_down_m - position[2]
     met = ray[:, 2] * np.sign(fall) > 1e-9
     length = np.full(len(ray), np.nan)
     length[met] = fall / ray[met, 2]
-    return place + ray * length[:, None]
+    return position + ray * length[:, None]
 
 
 def bearing(camera: Intrinsics, rotation: Array, x: float, y: float) -> tuple[float, float]:
@@ -155,7 +170,7 @@ def direction(azimuth_rad: float, depression_rad: float) -> Array:
 
 
 def pixel(camera: Intrinsics, rotation: Array, azimuth_rad: float, depression_rad: float) -> tuple[float, float] | None:
-    """Where in the picture's plane a bearing appears (perhaps outside the picture), None when behind the camera."""
+    """Return the pixel of a bearing (perhaps outside the image), None behind the camera."""
     points, depth = project(camera, rotation, np.zeros(3), direction(azimuth_rad, depression_rad)[None])
     return (float(points[0, 0]), float(points[0, 1])) if depth[0] > 1e-9 else None
 

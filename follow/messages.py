@@ -12,6 +12,7 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
+from follow.geometry import ned_to_heading
 from racf.track import Track
 
 Notify = Callable[[str], None]
@@ -69,8 +70,7 @@ class VehicleState:
 
     def body_velocity_m_s(self) -> tuple[float, float, float]:
         """Velocity forward, right, down in the heading frame (yaw only: the setpoint's frame)."""
-        c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
-        return c * self.north_m_s + s * self.east_m_s, c * self.east_m_s - s * self.north_m_s, self.down_m_s
+        return *ned_to_heading(self.north_m_s, self.east_m_s, self.yaw_rad), self.down_m_s
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 from typing_extensions import Self
 
-from follow.geometry import Intrinsics, camera_to_ned
+from follow.geometry import Intrinsics, camera_to_ned, heading_to_ned
 from follow.link import Link
 from follow.messages import NEVER, Frame
 from racf.box import Box
@@ -88,14 +88,14 @@ class LiveFlight:
             self._anchor = m
         a = self._anchor
         turn = self.start.yaw_rad - a.yaw_rad
-        c, s = math.cos(turn), math.sin(turn)
-        north, east = m.north_m - a.north_m, m.east_m - a.east_m
+        north, east = heading_to_ned(m.north_m - a.north_m, m.east_m - a.east_m, turn)
+        north_m_s, east_m_s = heading_to_ned(m.north_m_s, m.east_m_s, turn)
         return replace(
             m,
-            north_m=self.start.north_m + c * north - s * east,
-            east_m=self.start.east_m + s * north + c * east,
-            north_m_s=c * m.north_m_s - s * m.east_m_s,
-            east_m_s=s * m.north_m_s + c * m.east_m_s,
+            north_m=self.start.north_m + north,
+            east_m=self.start.east_m + east,
+            north_m_s=north_m_s,
+            east_m_s=east_m_s,
             yaw_rad=math.remainder(m.yaw_rad + turn, math.tau),
         )
 

@@ -6,6 +6,7 @@ from types import TracebackType
 
 from typing_extensions import Self
 
+from follow.geometry import ned_to_heading
 from follow.messages import HOVER, Autopilot, Setpoint, VehicleState
 from sim.dynamics import Vehicle, VehicleTruth
 
@@ -18,8 +19,7 @@ TELEMETRY_DELAY_S = 0.03  # attitude at 50 Hz over a serial line: half a period 
 
 def present(m: VehicleTruth) -> Setpoint:
     """The setpoint that keeps the present velocity."""
-    c, s = math.cos(m.yaw_rad), math.sin(m.yaw_rad)
-    return Setpoint(c * m.north_m_s + s * m.east_m_s, c * m.east_m_s - s * m.north_m_s, m.down_m_s, m.yaw_rate_rad_s)
+    return Setpoint(*ned_to_heading(m.north_m_s, m.east_m_s, m.yaw_rad), m.down_m_s, m.yaw_rate_rad_s)
 
 
 class SimLink:

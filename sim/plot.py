@@ -1,6 +1,5 @@
 """A flight on one picture: both ways from above, a strip of what the camera saw, the errors over time."""
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from follow.geometry import Intrinsics
+from follow.geometry import Intrinsics, heading_to_ned
 from follow.messages import Frame
 from racf.box import Box
 from sim.scene.ground import Image
@@ -76,8 +75,7 @@ def _ways(ax: Axes, rows: Sequence[ScoredTick], world: World) -> None:
     places = np.array([(p.east_m, p.north_m) for row in seen if row.truth for p in row.truth.places[:1]])
     own = np.array([(row.truth.motion.east_m, row.truth.motion.north_m) for row in seen if row.truth])
     for block in world.blocks:
-        half = block.length_m / 2
-        n, e = half * math.cos(block.heading_rad), half * math.sin(block.heading_rad)
+        n, e = heading_to_ned(block.length_m / 2, 0.0, block.heading_rad)
         ends = (block.east_m - e, block.east_m + e), (block.north_m - n, block.north_m + n)
         ax.plot(*ends, color="0.45", lw=5 if block.windows else 3, solid_capstyle="butt")
     for tree in world.trees:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from follow.geometry import heading_to_ned
 from follow.link import Link
 from follow.messages import Autopilot
 from sim.camera import CameraSettings, LiveFlight, SceneCamera
@@ -72,14 +73,14 @@ class Scenario:
         """Behind the target, looking at it but for a few degrees."""
         random = np.random.default_rng([seed, 7])
         place = world.target(0.0)
-        c, s = math.cos(place.heading_rad), math.sin(place.heading_rad)
-        speed = self.cruise_m_s if self.rolling_start else 0.0
+        behind = heading_to_ned(-self.standoff_m, 0.0, place.heading_rad)
+        velocity = heading_to_ned(self.cruise_m_s if self.rolling_start else 0.0, 0.0, place.heading_rad)
         return VehicleTruth(
-            north_m=place.north_m - self.standoff_m * c,
-            east_m=place.east_m - self.standoff_m * s,
+            north_m=place.north_m + behind[0],
+            east_m=place.east_m + behind[1],
             down_m=-self.height_m,
-            north_m_s=speed * c,
-            east_m_s=speed * s,
+            north_m_s=velocity[0],
+            east_m_s=velocity[1],
             yaw_rad=math.remainder(place.heading_rad + random.uniform(-0.08, 0.08), math.tau),
         )
 

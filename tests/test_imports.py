@@ -10,7 +10,7 @@ import racf
 ROOT = Path(__file__).parents[1]
 SPOKEN = {"messages", "geometry", "ranges"}  # what every room of follow speaks
 MAY_IMPORT = {
-    "messages": set(),
+    "messages": {"geometry"},
     "geometry": set(),
     "ranges": set(),
     "loop": {"messages", "camera", "link"},

@@ -50,7 +50,7 @@ def replay(command: ReplayCommand) -> None:
             box = box.moved(-ptz.window.x, -ptz.window.y)
         config = suited(config, command.named, lens)
         recorder.settings(as_toml(config))
-        target = FootageTarget(Target(lens, config.camera.down_rad, config.target), answers=command.ptz)
+        target = FootageTarget(Target(lens, config.camera.down_rad, config.target), moves_view=command.ptz)
         servo = Servo(config.camera.down_rad, config.servo)
         tracker, safety = acquire(command.tracker, box), Safety(config.limits)
         with link:

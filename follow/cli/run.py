@@ -123,7 +123,7 @@ def fly_live(command: RunCommand) -> None:
             tracker = acquire(command.tracker, seen.target)
             target = Target(seen.lens, seen.down_rad, seen.config.target)
             if command.aim:
-                operator.aim = lambda: (tracker.again(), target.forget())
+                operator.aim = lambda: (tracker.restart(), target.forget())
             with seen.camera as camera:
                 parts = Parts(
                     camera,

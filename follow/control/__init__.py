@@ -1,4 +1,4 @@
-"""Control: where the target is (`target`), and the velocity that would keep it in view (`servo`).
+"""Control: where the target is (`target`), and the velocity that keeps it in view (`servo`).
 
 May import: messages, geometry, ranges and the tracker's library.  No I/O and no clock.
 """

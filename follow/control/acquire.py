@@ -1,4 +1,4 @@
-"""A tracker that starts by itself on the first picture it is shown, and again when it is told to."""
+"""A tracker that starts by itself on the first image it gets, and again when it is told to."""
 
 from collections.abc import Callable
 
@@ -12,9 +12,9 @@ Image = NDArray[np.uint8]
 
 
 class Acquire:
-    """Starts a tracker on `box` in the first picture, then lets it track: the loop only ever calls `update`.
+    """Starts a tracker on `box` in the first image, then lets it track: the loop only ever calls `update`.
 
-    `init` learns the target in the box, `track` finds it again, around the prior if it likes.
+    `init` learns the target in the box, `track` finds it again, around the prior if there is one.
     """
 
     def __init__(
@@ -23,12 +23,12 @@ class Acquire:
         self._init, self._track, self._start = init, track, box
         self._box: Box | None = box
 
-    def again(self) -> None:
-        """Start anew, on the same box, in the next picture."""
+    def restart(self) -> None:
+        """Start again in the next image, on the same box."""
         self._box = self._start
 
     def update(self, image: Image, prior: Box | None = None) -> Track:
-        """The track of this picture.  Raises ValueError when the box does not fit the first picture."""
+        """Return the track of this image.  Raises ValueError when the box does not fit the first image."""
         if self._box is None:
             return self._track(image, prior)
         track = self._init(image, self._box)

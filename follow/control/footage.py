@@ -1,4 +1,4 @@
-"""Footage answers to the vehicle little or not at all: the target's estimate must not think that it does."""
+"""An estimate for recorded footage, whose camera does not move with the simulated vehicle."""
 
 from dataclasses import replace
 
@@ -9,25 +9,25 @@ from racf.track import Track
 
 
 class FootageTarget:
-    """A Target for footage.  The filming camera's own motion is not known: the tracker gets no prior.
+    """A Target for footage.  The motion of the camera that filmed it is unknown, so the tracker gets no prior.
 
-    Unless the picture `answers` (a window over it that turns with the vehicle), each one is read as from where the
-    vehicle began: what it pretends to fly changes nothing there.
+    With `moves_view` the view is a window over the footage that turns with the vehicle.  Without it each image is read
+    from the vehicle's first pose, because the simulated flight does not change what the footage shows.
     """
 
-    def __init__(self, target: Target, *, answers: bool) -> None:
+    def __init__(self, target: Target, *, moves_view: bool) -> None:
         self._target = target
-        self._answers = answers
+        self._moves_view = moves_view
         self._begin: VehicleState | None = None
 
     def predict(self, state: VehicleState, t_s: float) -> Box | None:
-        """None: look where it last was."""
+        """Return None: the tracker searches around its last position."""
         return None
 
     def update(self, track: Track | None, state: VehicleState, t_s: float) -> Estimate:
-        """The estimate, from where the vehicle is or from where it began."""
+        """Return the estimate, seen from the vehicle's pose (`moves_view`) or from its first pose."""
         self._begin = self._begin or state
-        if not self._answers:
+        if not self._moves_view:
             times = {"t_s": state.t_s, "attitude_t_s": state.attitude_t_s, "position_t_s": state.position_t_s}
             state = replace(self._begin, **times)
         return self._target.update(track, state, t_s)

@@ -1,17 +1,17 @@
-"""One PID controller, as in Åström & Hägglund, "Advanced PID Control" (2006), ch. 3: no clock of its own."""
+"""A PID controller after Åström & Hägglund, "Advanced PID Control" (2006), ch. 3; the caller gives the time step."""
 
 import math
 from dataclasses import dataclass
 
 OBEYED = 0.1
-"""An output counts as carried out within this share of its limit: an autopilot's lag and gusts are smaller."""
+"""An output counts as flown within this fraction of its limit: an autopilot's lag and gusts are smaller."""
 
 
 @dataclass(frozen=True, slots=True)
 class Gains:
     """u = kp e + ki ∫e - kd d(measurement)/dt, held within ±limit.
 
-    The derivative acts on the measurement (no kick when the wanted value jumps) through a first-order filter of time
+    The derivative acts on the measurement (no kick when the desired value jumps) through a first-order filter of time
     constant `filter_s`.  Raises ValueError when a limit or a time constant is not positive, or a gain
     not finite.
     """
@@ -20,7 +20,7 @@ class Gains:
     ki: float = 0.0
     kd: float = 0.0
     limit: float = math.inf
-    filter_s: float = 0.1  # about three pictures at 30 frames/s
+    filter_s: float = 0.1  # about three frames at 30 frames/s
 
     def __post_init__(self) -> None:
         if not (self.limit > 0 and 0 < self.filter_s < math.inf):
@@ -31,7 +31,7 @@ class Gains:
 
 @dataclass(slots=True)
 class Pid:
-    """The controller: gains, the integral's share of the output, and what the derivative needs."""
+    """The controller: gains, integral term, and the state of the derivative's filter."""
 
     gains: Gains
     integral: float = 0.0
@@ -40,11 +40,11 @@ class Pid:
     rate: float = 0.0
 
     def update(self, error: float, measurement: float, dt_s: float, flown: float | None = None) -> float:
-        """The output for this error (wanted minus measured), `dt_s` after the last one.
+        """Return the output for this error (desired minus measured), `dt_s` after the last one.
 
-        A step without time (dt <= 0) neither integrates nor differentiates.  Anti-windup (conditional integration):
-        the integral stays when the output is at its limit and the error would push it further out, and while `flown`,
-        what really comes of the output, is not about the last output: what is not carried out is not to be made up for.
+        A step with dt <= 0 neither integrates nor differentiates.  Anti-windup by conditional integration: the integral
+        stays when the output is at its limit and the error pushes further, and when `flown` (the measured value of the
+        output) differs from the last output by more than OBEYED, because the vehicle then does not carry it out.
         """
         g = self.gains
         if dt_s > 0:
@@ -61,5 +61,5 @@ class Pid:
         return self.output
 
     def reset(self) -> None:
-        """Forget the past."""
+        """Clear the integral, the output and the derivative."""
         self.integral, self.output, self.measured, self.rate = 0.0, 0.0, None, 0.0

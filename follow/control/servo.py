@@ -1,7 +1,7 @@
-"""The visual servo: yaw keeps the target across the middle, climb up and down, flight at the wanted place about it.
+"""The visual servo: yaw centres the target horizontally, climb vertically, and translation keeps the stand-off.
 
-Everything is written in two directions of the ground: along the line of sight to the target, and across it (positive
-to the right).  The modes differ only in what they want in these two.
+Horizontal motion is split into two directions: along the line of sight to the target, and across it (positive to the
+right).  The modes differ only in the velocity they desire in these two.
 """
 
 import math
@@ -9,29 +9,31 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from follow.control.pid import Gains, Pid
-from follow.geometry import wrap
+from follow.geometry import heading_to_ned, ned_to_heading, wrap
 from follow.messages import NEVER, Estimate, Setpoint, VehicleState
 from follow.ranges import require_numbers
 
 
 class ServoMode(str, Enum):
-    """How to accompany the target."""
+    """How to follow the target."""
 
-    CHASE = "chase"  # keep the stand-off along the line of sight, from wherever it is seen
-    CENTRE = "centre"  # stay in place: turn and climb only
+    CHASE = "chase"  # keep the stand-off along the line of sight, whatever its direction
+    CENTRE = "centre"  # hold position: turn and climb only
     ORBIT = "orbit"  # keep the stand-off and fly around
     PROFILE = "profile"  # keep the stand-off at right angles to the target's course
-    TOP_DOWN = "top-down"  # above it, for a camera that looks steeply down: height and heading stay
+    TOP_DOWN = "top-down"  # above it, for a camera that looks steeply down: keep height and heading
 
 
-YAW = Gains(kp=3.0, limit=1.5)  # 1/s: below the bandwidth of both autopilots' yaw (0.08 s dead time, 0.2 s answer)
+YAW = Gains(
+    kp=3.0, limit=1.5
+)  # 1/s: below the bandwidth of both autopilots' yaw (0.08 s dead time, 0.2 s time constant)
 CLIMB = Gains(kp=0.6, limit=3.0)  # 1/s, on metres of height; m/s
-APPROACH = Gains(kp=0.35, ki=0.02, limit=6.0)  # 1/s, on metres; velocity answers within 0.7 s; m/s
+APPROACH = Gains(kp=0.35, ki=0.02, limit=6.0)  # 1/s, on metres; the vehicle reaches a velocity within 0.7 s; m/s
 
 
 @dataclass(frozen=True, slots=True)
 class ServoConfig:
-    """The wanted picture and the gains.  Raises ValueError for a number out of its range."""
+    """The desired geometry and the gains.  Raises ValueError for a number out of its range."""
 
     mode: ServoMode = ServoMode.CHASE
     standoff_m: float = 12.0  # along the ground; a person of 1.8 m is then some 50 pixels high in 640x360
@@ -39,11 +41,11 @@ class ServoConfig:
     yaw: Gains = YAW
     climb: Gains = CLIMB
     approach: Gains = APPROACH
-    feed_forward: float = 1.0  # share of the target's own velocity that is flown with it
-    pitch_filter_s: float = 1.0  # height follows the pitch of steady flight, not each twitch
-    abeam_per_s: float = 0.3  # profile: how fast the angle off right angles is flown away ...
-    abeam_m_s: float = 3.0  # ... and the fastest across the line of sight for it
-    course_m_s: float = 0.5  # below this speed a target has no course to be abeam of
+    feed_forward: float = 1.0  # fraction of the target's own velocity added to the setpoint
+    pitch_filter_s: float = 1.0  # time constant of the pitch filter: height follows steady flight only
+    abeam_per_s: float = 0.3  # profile: gain on the angle off abeam, 1/s
+    abeam_m_s: float = 3.0  # profile: fastest speed across the line of sight, m/s
+    course_m_s: float = 0.5  # profile: below this speed the target has no course
 
     def __post_init__(self) -> None:
         may_be_zero = ("feed_forward", "pitch_filter_s", "abeam_per_s", "abeam_m_s", "course_m_s")
@@ -51,14 +53,14 @@ class ServoConfig:
 
 
 STEEPEST_RAD = math.radians(75.0)
-"""Steeper lines of sight count as this: the tangent of one straight down is no height."""
+"""Steeper lines of sight are clipped to this: the tangent of a vertical one is infinite."""
 
 
 @dataclass(slots=True)
 class Servo:
     """Estimate in, desired setpoint out.
 
-    `down_rad` is the camera's angle below the nose: it decides where the middle is.
+    `down_rad` is the camera's angle below the nose, radians; it decides the depression of the image's middle row.
     """
 
     down_rad: float
@@ -75,9 +77,9 @@ class Servo:
         self.yaw, self.climb, self.approach, self.aside = Pid(c.yaw), Pid(c.climb), Pid(c.approach), Pid(c.approach)
 
     def update(self, estimate: Estimate, state: VehicleState) -> Setpoint:
-        """The velocity that would keep the estimated target where it is wanted; zero before it was ever seen.
+        """Return the velocity that keeps the target at its desired position; zero before the target was ever seen.
 
-        While the autopilot does not obey, nothing is integrated: how long the operator waited must not be seen later.
+        Without control nothing is integrated, so that waiting for the order does not wind up the integrators.
         """
         dt = max(estimate.t_s - self.t_s, 0.0) if self.t_s > NEVER else 0.0
         self.t_s = estimate.t_s
@@ -93,26 +95,25 @@ class Servo:
             return self.above(estimate, state, dt)
         along, across = sight_components(estimate, state.yaw_rad)
         forward, right, _ = state.body_velocity_m_s()
-        c, s = math.cos(estimate.azimuth_rad), math.sin(estimate.azimuth_rad)
         radial, sideways = self.accompany(estimate, state, along, across, dt)
-        # The line of sight turns by itself when target or vehicle move across it.
-        turning = (across - (c * right - s * forward)) / max(estimate.range_m, 1.0)
+        # The line of sight turns when the target or the vehicle moves across it.
+        turning = (across - ned_to_heading(forward, right, estimate.azimuth_rad)[1]) / max(estimate.range_m, 1.0)
         with_target = self.config.feed_forward * turning
         flown = state.yaw_rate_rad_s - with_target
         yaw_rate = self.yaw.update(estimate.azimuth_rad, -estimate.azimuth_rad, dt, flown) + with_target
         down = self.descend(estimate, state, dt)
-        return Setpoint(c * radial - s * sideways, s * radial + c * sideways, down, yaw_rate)
+        return Setpoint(*heading_to_ned(radial, sideways, estimate.azimuth_rad), down, yaw_rate)
 
     def accompany(
         self, estimate: Estimate, state: VehicleState, along: float, across: float, dt: float
     ) -> tuple[float, float]:
-        """Wanted velocity along and across the line of sight, for the target's own two."""
+        """Return the desired velocity along and across the line of sight, given the target's own two."""
         c = self.config
         if c.mode is ServoMode.CENTRE:
             return 0.0, 0.0
         error = estimate.range_m - c.standoff_m
         forward, right, _ = state.body_velocity_m_s()
-        flown = math.cos(estimate.azimuth_rad) * forward + math.sin(estimate.azimuth_rad) * right
+        flown, _ = ned_to_heading(forward, right, estimate.azimuth_rad)
         with_target = c.feed_forward * along
         radial = self.approach.update(error, -estimate.range_m, dt, flown - with_target) + with_target
         if c.mode is ServoMode.ORBIT:
@@ -125,23 +126,22 @@ class Servo:
         return radial, 0.0
 
     def descend(self, estimate: Estimate, state: VehicleState, dt: float) -> float:
-        """Downward speed that brings the target to the picture's middle row, at the pitch now flown."""
+        """Return the downward speed that brings the target to the image's middle row at the filtered pitch."""
         pitch = self.pitch_rad or 0.0
-        wanted = math.tan(min(max(self.down_rad - pitch, 0.0), STEEPEST_RAD))
-        too_high_m = estimate.range_m * (math.tan(min(estimate.depression_rad, STEEPEST_RAD)) - wanted)
+        desired = math.tan(min(max(self.down_rad - pitch, 0.0), STEEPEST_RAD))
+        too_high_m = estimate.range_m * (math.tan(min(estimate.depression_rad, STEEPEST_RAD)) - desired)
         return -self.climb.update(-too_high_m, too_high_m, dt, -state.down_m_s)
 
     def above(self, estimate: Estimate, state: VehicleState, dt: float) -> Setpoint:
-        """Fly so that the optical axis meets the target, heading and height kept."""
+        """Return the velocity that puts the target on the optical axis, keeping heading and height."""
         c = self.config
         height = estimate.range_m * math.tan(min(estimate.depression_rad, math.pi / 2 - 1e-3))
         ahead = height / math.tan(max(self.down_rad - state.pitch_rad, 0.2))
-        ahead_m = estimate.range_m * math.cos(estimate.azimuth_rad) - ahead
-        right_m = estimate.range_m * math.sin(estimate.azimuth_rad)
+        ahead_m, right_m = heading_to_ned(estimate.range_m, 0.0, estimate.azimuth_rad)
+        ahead_m -= ahead
         forward, right, _ = state.body_velocity_m_s()
-        co, si = math.cos(state.yaw_rad), math.sin(state.yaw_rad)
-        with_forward = c.feed_forward * (co * estimate.north_m_s + si * estimate.east_m_s)
-        with_right = c.feed_forward * (co * estimate.east_m_s - si * estimate.north_m_s)
+        own = ned_to_heading(estimate.north_m_s, estimate.east_m_s, state.yaw_rad)
+        with_forward, with_right = c.feed_forward * own[0], c.feed_forward * own[1]
         return Setpoint(
             self.approach.update(ahead_m, -ahead_m, dt, forward - with_forward) + with_forward,
             self.aside.update(right_m, -right_m, dt, right - with_right) + with_right,
@@ -149,12 +149,10 @@ class Servo:
 
 
 def sight_components(estimate: Estimate, yaw_rad: float) -> tuple[float, float]:
-    """The target's velocity along the line of sight (positive: away) and across it (positive: to the right)."""
-    sight = yaw_rad + estimate.azimuth_rad
-    c, s = math.cos(sight), math.sin(sight)
-    return c * estimate.north_m_s + s * estimate.east_m_s, c * estimate.east_m_s - s * estimate.north_m_s
+    """Return the target's velocity along the line of sight (positive: away) and across it (positive: right), m/s."""
+    return ned_to_heading(estimate.north_m_s, estimate.east_m_s, yaw_rad + estimate.azimuth_rad)
 
 
 def abeam_error(course_rad: float, sight_rad: float) -> float:
-    """Angle by which the line of sight is past the nearer right angle to the course; flying right reduces it."""
+    """Return the angle from the line of sight to the nearer abeam direction, radians; flying right reduces it."""
     return min((wrap(sight_rad - course_rad - side * math.pi / 2) for side in (-1, 1)), key=abs)

@@ -24,34 +24,34 @@ FAR_M = 1e3
 
 @dataclass(frozen=True, slots=True)
 class TargetConfig:
-    """What the estimate knows beforehand, and what it takes for the target.
+    """Priors, measurement noise, and what counts as the target.
 
     Raises ValueError for a number out of its range.
     """
 
     size_m: float = 1.2  # sqrt(width x height) of what is followed: a person of 0.8 x 1.8 m
-    size_relative_std: float = 0.5  # ... which may as well be a car: the ground's range soon corrects it
+    size_relative_std: float = 0.5  # wide enough for a car; the range by the ground soon corrects it
     bearing_std_rad: float = 0.02  # 1 degree: attitude error of a small autopilot, plus two pixels of the tracker's
-    box_relative_std: float = 0.1  # apparent size: RACF's scale steps are 3 %, aspect changes more
-    speed_std_m_s: float = 3.0  # of the first guess: a runner
-    accel_psd: float = 0.5  # m²/s³: a cyclist's turn (2.5 m/s2) kept up for 0.1 s; less lags more than it calms
-    minimum_height_m: float = 1.0  # below it flat ground says nothing of range
-    gate_sigmas: float = 4.0  # a box further off than this is not the target ...
-    gate_size: float = 2.0  # ... nor one so many times larger or smaller than expected
-    lost_after_s: float = 0.5  # unseen for so long, a box must prove itself ...
-    confirm: int = 3  # ... in so many pictures in a row
-    # Sharpness (PSR) over the target's usual one, measured on ten real sequences (docs/confidence.md):
-    psr_ratio_lost: float = 0.6  # less is not believed: 3 % of the pictures on the target, 97 % of looks elsewhere
-    psr_ratio_regained: float = (
-        0.7  # ... nor, after a loss, less than this: 5 % and 99 %; and `confirm` in a row are asked
+    box_relative_std: float = 0.1  # apparent size: RACF's scale step is 3 %, aspect changes are larger
+    speed_std_m_s: float = 3.0  # prior of the target's speed: a runner
+    accel_psd: float = (
+        0.5  # m²/s³: a cyclist's turn (2.5 m/s²) for 0.1 s; a lower value adds more lag than it removes noise
     )
-    psr_cap: float = 20.0  # ... usual counts as no more: a PSR of 15 is the target although it was 40 before
-    psr_rate: float = 0.01  # ... usual: the running mean over about three seconds of what was accepted
-    settle: int = 5  # pictures until anything is usual: the very first response can be far sharper than any later one
-    steady_s: float = 6.0  # an unseen target is thought to go on as it did for so long: past a wall or some trees ...
-    coast_s: float = 6.0  # ... and then to slow down with this time constant
-    wait_s: float = 0.1  # a box waits so long for the attitude of its time; as old as the gate lets attitude be
-    compensate: bool = True  # use the pose at the picture's time and predict over the delay
+    minimum_height_m: float = 1.0  # below it the ground gives no range
+    gate_sigmas: float = 4.0  # innovation gate on position, standard deviations
+    gate_size: float = 2.0  # largest ratio of a box's size to the expected size, or its inverse
+    lost_after_s: float = 0.5  # after this long unseen, the target must be confirmed
+    confirm: int = 3  # consecutive frames that confirm it
+    # Ratios of PSR to the target's running mean, measured on ten real sequences (docs/confidence.md):
+    psr_ratio_lost: float = 0.6  # below it a response is rejected: 3 % of frames on the target, 97 % off it
+    psr_ratio_regained: float = 0.7  # the same after a loss: 5 % and 99 %, and `confirm` frames in a row
+    psr_cap: float = 20.0  # cap of the running mean: a PSR of 15 is the target although it was 40 before
+    psr_rate: float = 0.01  # gain of the running mean of accepted frames: about three seconds
+    settle: int = 5  # frames before the mean is used: the first response can be far sharper than any later one
+    steady_s: float = 6.0  # assume constant velocity for this long after the last sighting: past a wall or some trees
+    coast_s: float = 6.0  # then it slows down with this time constant
+    wait_s: float = 0.1  # longest wait for the attitude of a frame's time; the gate's own age limit
+    compensate: bool = True  # use the pose at the frame's time and predict over the delay
 
     def __post_init__(self) -> None:
         may_be_zero = (
@@ -161,15 +161,15 @@ class Target:
     waiting: deque[tuple[float, Track]] = field(default_factory=lambda: deque[tuple[float, Track]](maxlen=16))
 
     def forget(self) -> None:
-        """Begin anew with the next box: it is another target."""
+        """Forget the target; the next box starts a new one."""
         self.filter, self.box, self.seen_t_s, self.on_trial = None, None, NEVER, False
         self.proofs, self.accepted, self.usual_psr = 0, 0, 0.0
         self.waiting.clear()
 
     def predict(self, state: VehicleState, t_s: float) -> Box | None:
-        """Where in the picture of `t_s` the target should appear, or None for where the tracker has it.
+        """Return the box where the target should appear in the frame of `t_s`; None: search around the last one.
 
-        None, too, while the tracker has found something again that is yet to prove itself: it must stay on it.
+        None also while a found target is not yet confirmed: the tracker must stay on it.
         """
         self.motion.add(state)
         if self.filter is None or self.box is None or self.on_trial:
@@ -184,7 +184,7 @@ class Target:
         return Box.around(float(pixels[0, 0]), float(pixels[0, 1]), self.box.w * scale, self.box.h * scale)
 
     def update(self, track: Track | None, state: VehicleState, t_s: float) -> Estimate:
-        """Take in the track of the picture of `t_s` (None: no new picture); the answer is for `state.t_s`."""
+        """Take in the track of the frame of `t_s` (None: no new frame); the estimate is for `state.t_s`."""
         self.motion.add(state)
         if track is not None:
             self.waiting.append((t_s, track))
@@ -196,10 +196,10 @@ class Target:
         return self.estimate(state)
 
     def readable(self, t_s: float, state: VehicleState) -> bool:
-        """Whether the attitude at a picture's time is known, or has been waited for long enough.
+        """Whether the attitude at a frame's time is known, or `wait_s` has passed.
 
-        Telemetry is some hundredths of a second late.  A tilting vehicle's attitude carried on by guess makes the
-        range swing, and the servo with it; a box that waits costs nothing, for the estimate is carried on instead.
+        Telemetry is some hundredths of a second late.  An extrapolated attitude of a tilting vehicle makes the range
+        swing, and the servo with it; waiting costs nothing, because the estimate is predicted meanwhile.
         """
         late_s = state.t_s - t_s
         known = not self.config.compensate or state.attitude_t_s >= t_s
@@ -216,7 +216,7 @@ class Target:
             place = self.place(box, pose, c.size_m, size_var)
             wide = np.zeros((4, 4))
             wide[:2, :2] = place.covariance
-            # Who begins to follow in flight flies along with the target already; else it may run either way.
+            # A vehicle that starts in flight already flies along with the target.
             wide[2:, 2:] = np.eye(2) * c.speed_std_m_s**2
             mean = np.append(place.ground, [pose.north_m_s, pose.east_m_s])
             self.filter = Filter(t_s, mean, wide, c.size_m, size_var)
@@ -255,7 +255,7 @@ class Target:
         return 1 / self.config.gate_size < ratio < self.config.gate_size
 
     def pose(self, state: VehicleState, t_s: float) -> Pose:
-        """The pose to read a picture of `t_s` with."""
+        """Return the vehicle's pose for the frame of `t_s`."""
         return self.motion.at(t_s if self.config.compensate else state.t_s)
 
     def rotation(self, pose: Pose) -> Array:
@@ -263,7 +263,7 @@ class Target:
         return camera_to_ned(self.down_rad, pose.roll_rad, pose.pitch_rad, pose.yaw_rad)
 
     def carried(self, t_s: float) -> Filter:
-        """The filter at `t_s`.  A target unseen for longer than `steady_s` is thought to slow down."""
+        """Return the filter at `t_s`; a target unseen for longer than `steady_s` slows down."""
         assert self.filter is not None
         c = self.config
         f = predicted(self.filter, t_s, c.accel_psd)

@@ -10,6 +10,7 @@ from types import TracebackType
 
 from typing_extensions import Self
 
+from follow.geometry import heading_to_ned
 from follow.messages import HOVER, Autopilot, Setpoint, VehicleState
 
 # Times to 63 % of a step, dead time included, as measured on PX4 1.16 and ArduCopter 4.7-dev; the middle of both.
@@ -83,9 +84,7 @@ class ReplayLink:
         climbed = 1 - math.exp(-dt / CLIMB_TAU_S)
         yaw_rate = old.yaw_rate_rad_s + turned * (wanted.yaw_rate_rad_s - old.yaw_rate_rad_s)
         yaw = math.remainder(old.yaw_rad + dt * yaw_rate, math.tau)
-        c, s = math.cos(yaw), math.sin(yaw)
-        north = c * wanted.forward_m_s - s * wanted.right_m_s
-        east = s * wanted.forward_m_s + c * wanted.right_m_s
+        north, east = heading_to_ned(wanted.forward_m_s, wanted.right_m_s, yaw)
         if self._holds_place:
             north = east = 0.0
         north_m_s = old.north_m_s + sped * (north - old.north_m_s)

@@ -7,6 +7,7 @@ with the room left, from half the deceleration that the ramps may use.
 import math
 from itertools import pairwise
 
+from follow.geometry import heading_to_ned, ned_to_heading
 from follow.messages import Estimate, Setpoint, VehicleState
 from follow.safety.limits import Limits
 
@@ -53,13 +54,13 @@ def limit_closing_speed(
     if needed == 0:
         return forward, right
     room = estimate.range_m - limits.range_sigmas * estimate.range_std_m - needed
-    c, s = math.cos(estimate.azimuth_rad), math.sin(estimate.azimuth_rad)
     sight = state.yaw_rad + estimate.azimuth_rad
-    away = math.cos(sight) * estimate.north_m_s + math.sin(sight) * estimate.east_m_s
+    away, _ = ned_to_heading(estimate.north_m_s, estimate.east_m_s, sight)
+    closing, _ = ned_to_heading(forward, right, estimate.azimuth_rad)
     # The gate holds back, it does not push: retreating is the servo's business.
     allowed = max(approach_speed(max(room, 0.0), limits.accel_m_s2) + away, 0.0)
-    excess = max(forward * c + right * s - allowed, 0.0)
-    return forward - excess * c, right - excess * s
+    too_fast = heading_to_ned(max(closing - allowed, 0.0), 0.0, estimate.azimuth_rad)
+    return forward - too_fast[0], right - too_fast[1]
 
 
 def limit_to_fence(north: float, east: float, out: tuple[float, float], limits: Limits) -> tuple[float, float]:
@@ -98,9 +99,7 @@ def bounded(
     steps.append(("speed", (want.forward_m_s / over, want.right_m_s / over)))
     steps.append(("view", in_view(*steps[-1][1], limits)))
     steps.append(("stand-off", limit_closing_speed(*steps[-1][1], estimate, state, limits)))
-    c, s = math.cos(state.yaw_rad), math.sin(state.yaw_rad)
-    forward, right = steps[-1][1]
-    level = c * forward - s * right, s * forward + c * right
+    level = heading_to_ned(*steps[-1][1], state.yaw_rad)
     fence = limit_to_fence(*level, (state.north_m - start[0], state.east_m - start[1]), limits)
     down = limit_altitude(want.down_m_s, estimate, state, limits)
     acted = [name for (_, before), (name, after) in pairwise(steps) if before != after]

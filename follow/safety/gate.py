@@ -6,7 +6,7 @@
 import math
 from dataclasses import dataclass, field, replace
 
-from follow.geometry import wrap
+from follow.geometry import heading_to_ned, ned_to_heading, wrap
 from follow.messages import NEVER, Decision, Estimate, Order, Setpoint, VehicleState
 from follow.safety.envelope import bounded, limit_altitude, limit_closing_speed
 from follow.safety.limits import Limits
@@ -132,11 +132,10 @@ def start_ramps(gate: Gate, estimate: Estimate, state: VehicleState, limits: Lim
     forward, right, _ = state.body_velocity_m_s()
     over = max(math.hypot(forward, right) / limits.speed_m_s, 1.0)
     forward, right = limit_closing_speed(forward / over, right / over, estimate, state, limits)
-    c, s = math.cos(state.yaw_rad), math.sin(state.yaw_rad)
     down = limit_altitude(clipped(state.down_m_s, limits.climb_m_s), estimate, state, limits)
     return replace(
         gate,
-        horizontal=VelocityRamp((c * forward - s * right, s * forward + c * right)),
+        horizontal=VelocityRamp(heading_to_ned(forward, right, state.yaw_rad)),
         down=VelocityRamp((down,)),
         yaw=YawRateRamp(min(max(state.yaw_rate_rad_s, -limits.yaw_rate_rad_s), limits.yaw_rate_rad_s)),
         start_north_m=state.north_m,
@@ -200,9 +199,8 @@ def ramped(gate: Gate, velocity: tuple[float, float, float], yaw_rate: float, dt
 
 def body_setpoint(gate: Gate, yaw_rad: float) -> Setpoint:
     """The gate's NED velocity as a setpoint in the heading frame."""
-    c, s = math.cos(wrap(yaw_rad)), math.sin(wrap(yaw_rad))
     north, east = gate.horizontal.v
-    return Setpoint(c * north + s * east, c * east - s * north, gate.down.v[0], gate.yaw.rate)
+    return Setpoint(*ned_to_heading(north, east, wrap(yaw_rad)), gate.down.v[0], gate.yaw.rate)
 
 
 @dataclass(slots=True)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import ClassVar
 
+from follow.geometry import ned_to_heading
 from follow.messages import NEVER, Autopilot, Setpoint
 from sim.autopilot.parameters import DEFAULTS
 from sim.dynamics import Vehicle
@@ -257,8 +258,7 @@ class AutopilotCore(ABC):
         motion = self.vehicle.motion
         forward, right = command.x_m_s, command.y_m_s
         if not command.body:
-            c, s = math.cos(motion.yaw_rad), math.sin(motion.yaw_rad)
-            forward, right = c * command.x_m_s + s * command.y_m_s, c * command.y_m_s - s * command.x_m_s
+            forward, right = ned_to_heading(forward, right, motion.yaw_rad)
         yaw_rate = command.yaw_rate_rad_s
         if yaw_rate is None:
             moving = math.hypot(forward, right) > 0.5
@@ -273,5 +273,4 @@ class AutopilotCore(ABC):
         level = math.hypot(north, east)
         if level > speed_m_s:
             north, east = north * speed_m_s / level, east * speed_m_s / level
-        c, s = math.cos(motion.yaw_rad), math.sin(motion.yaw_rad)
-        return Setpoint(c * north + s * east, c * east - s * north, max(-speed_m_s, min(speed_m_s, down)))
+        return Setpoint(*ned_to_heading(north, east, motion.yaw_rad), max(-speed_m_s, min(speed_m_s, down)))

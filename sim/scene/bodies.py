@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from follow.geometry import ned_to_heading
 from sim.scene.world import GAITS, Actor, ActorPose, Array, Colour, Kind, Look, Sun
 
 AMBIENT = 0.5  # share of light that comes from the sky, a clear day
@@ -46,7 +47,7 @@ class Frame3:
         self.place = place
         c, s = math.cos(place.heading_rad), math.sin(place.heading_rad)
         north, east, down = sun.toward()
-        self.sun = (c * north + s * east, c * east - s * north, -down)
+        self.sun = (*ned_to_heading(north, east, place.heading_rad), -down)
         self.axes = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, -1.0]])
 
     def face(self, points: list[Point], colour: Colour) -> Draft:

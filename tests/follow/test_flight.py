@@ -80,7 +80,7 @@ def test_with_a_sight_the_order_starts_on_what_is_in_the_box_then(autopilot):
     rig.update = tracker.update
 
     def aim():
-        tracker.again()
+        tracker.restart()
         rig.parts.target.forget()
 
     rig.operator.aim = aim

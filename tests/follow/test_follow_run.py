@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import pytest
 
+from follow.geometry import heading_to_ned
 from sim.scenarios import SCENARIOS, Scenario
 from tests.support.machine import against_the_clock
 from tests.support.real_flight import CONTROL, PILOTS_CHOICE, Real, real_flight, until
@@ -29,10 +30,10 @@ def true_place(row: dict[str, str], first: dict[str, str], scenario, world) -> t
     """The true walker's range along the ground and angle off the nose, from telemetry and the walker's own route."""
     start = scenario.start(world, 0)
     turn = start.yaw_rad - float(first["vehicle_yaw_rad"])
-    c, s = math.cos(turn), math.sin(turn)
     n, e = (float(row[f"vehicle_{axis}_m"]) - float(first[f"vehicle_{axis}_m"]) for axis in ("north", "east"))
     place = world.target(float(row["frame_t_s"]) - float(first["frame_t_s"]))
-    north, east = place.north_m - start.north_m - c * n + s * e, place.east_m - start.east_m - s * n - c * e
+    flown = heading_to_ned(n, e, turn)
+    north, east = place.north_m - start.north_m - flown[0], place.east_m - start.east_m - flown[1]
     off = math.atan2(east, north) - float(row["vehicle_yaw_rad"]) - turn
     return math.hypot(north, east), math.remainder(off, math.tau)
 

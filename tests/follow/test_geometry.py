@@ -12,6 +12,8 @@ from follow.geometry import (
     body_to_ned,
     camera_to_ned,
     ground_points,
+    heading_to_ned,
+    ned_to_heading,
     pixel,
     project,
     rays,
@@ -112,8 +114,20 @@ def test_an_impossible_field_of_view_is_refused(bad):
         Intrinsics.from_fov(640, 360, bad)
 
 
-def test_a_picture_without_area_or_focal_length_is_refused():
+def test_an_image_without_area_or_focal_length_is_refused():
     with pytest.raises(ValueError, match="positive width"):
         Intrinsics(0, 360, 1, 1, 0, 0)
     with pytest.raises(ValueError, match="focal length"):
         Intrinsics(640, 360, -1, 1, 0, 0)
+
+
+@given(st.floats(-50, 50), st.floats(-50, 50), yaws)
+def test_a_level_vector_turned_into_ned_and_back_is_itself_and_agrees_with_the_body_rotation(forward, right, heading):
+    north, east = heading_to_ned(forward, right, heading)
+    assert ned_to_heading(north, east, heading) == pytest.approx((forward, right), abs=1e-9)
+    np.testing.assert_allclose(body_to_ned(0.0, 0.0, heading) @ (forward, right, 0.0), (north, east, 0.0), atol=1e-9)
+
+
+def test_heading_east_forward_is_east_and_right_is_south():
+    assert heading_to_ned(1.0, 0.0, math.pi / 2) == pytest.approx((0.0, 1.0))
+    assert heading_to_ned(0.0, 1.0, math.pi / 2) == pytest.approx((-1.0, 0.0))

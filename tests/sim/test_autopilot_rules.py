@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from pymavlink.dialects.v20 import common as dialect
 
+from follow.geometry import ned_to_heading
 from follow.messages import Autopilot
 from sim.autopilot.parameters import OBEYED, REPORTED
 from sim.autopilot.system import AutopilotSystem
@@ -76,8 +77,7 @@ class Bench:
 
     def body_velocity(self):
         m = self.flight.vehicle.motion
-        c, s = math.cos(m.yaw_rad), math.sin(m.yaw_rad)
-        return c * m.north_m_s + s * m.east_m_s, c * m.east_m_s - s * m.north_m_s, m.down_m_s
+        return *ned_to_heading(m.north_m_s, m.east_m_s, m.yaw_rad), m.down_m_s
 
     def heard_last(self, kind: str):
         return next(m for m in reversed(self.heard) if m.get_type() == kind)

@@ -11,6 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from follow.geometry import heading_to_ned
 from follow.messages import Autopilot
 from sim.dynamics import VehicleTruth
 from sim.scenarios import SCENARIOS, build
@@ -24,11 +25,11 @@ def panel(name: str, seed: int, t_s: float) -> np.ndarray:
     scenario = SCENARIOS[name]
     camera, _, world = build(scenario, seed, Autopilot.PX4)
     place = world.target(t_s)
-    c, s = np.cos(place.heading_rad), np.sin(place.heading_rad)
+    behind = heading_to_ned(-scenario.standoff_m, 0.0, place.heading_rad)
     motion = VehicleTruth(
         t_s=t_s,
-        north_m=place.north_m - scenario.standoff_m * c,
-        east_m=place.east_m - scenario.standoff_m * s,
+        north_m=place.north_m + behind[0],
+        east_m=place.east_m + behind[1],
         down_m=-scenario.height_m,
         yaw_rad=place.heading_rad,
         pitch_rad=scenario.down_rad(Autopilot.PX4) - 0.45,

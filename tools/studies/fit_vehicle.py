@@ -18,6 +18,7 @@ import numpy as np
 from matplotlib import pyplot as plt
 from scipy.optimize import least_squares
 
+from follow.geometry import ned_to_heading
 from follow.messages import Autopilot, Setpoint
 from sim.dynamics import ANSWERS, ResponseModel, Vehicle, VehicleTruth
 
@@ -59,8 +60,7 @@ def simulate(
     rows = []
     for _ in T:
         m = vehicle.motion
-        c, s = np.cos(m.yaw_rad), np.sin(m.yaw_rad)
-        forward, right = c * m.north_m_s + s * m.east_m_s, c * m.east_m_s - s * m.north_m_s
+        forward, right = ned_to_heading(m.north_m_s, m.east_m_s, m.yaw_rad)
         rows.append([forward, right, m.down_m_s, m.roll_rad, m.pitch_rad, m.yaw_rate_rad_s])
         vehicle.step(command, STEP_S)
     return np.array(rows)
