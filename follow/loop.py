@@ -15,30 +15,30 @@ from racf.track import Track
 
 
 class BoxTracker(Protocol):
-    """Finds the box again in each new picture; `racf.Racf` is one."""
+    """Finds the box again in each new image; `racf.Racf` is one."""
 
     def update(self, image: NDArray[np.uint8], prior: Box | None = None) -> Track:
-        """Look for the target around `prior`, or around its last place when None."""
+        """Look for the target around `prior`, or around its last box when None."""
         ...
 
 
 class TargetEstimator(Protocol):
-    """Turns boxes and the vehicle's own motion into where the target is; `follow.control.target.Target` is one."""
+    """Estimates the target's position from boxes and the vehicle's motion; `follow.control.target.Target` is one."""
 
     def predict(self, state: VehicleState, t_s: float) -> Box | None:
-        """Where in the picture of `t_s` the target should appear, or None for where it last did."""
+        """The box where the target should appear in the image taken at `t_s`; None: at its last box."""
         ...
 
     def update(self, track: Track | None, state: VehicleState, t_s: float) -> Estimate:
-        """Take in the track of the picture of `t_s` (None: no new picture); the answer is for `state.t_s`."""
+        """Update with the track of the frame of `t_s` (None: no new frame); returns the estimate at `state.t_s`."""
         ...
 
 
 class Controller(Protocol):
-    """Wishes a velocity; `follow.control.servo.Servo` is one."""
+    """Computes the desired setpoint; `follow.control.servo.Servo` is one."""
 
     def update(self, estimate: Estimate, state: VehicleState) -> Setpoint:
-        """The velocity that would keep the estimated target where it is wanted."""
+        """The velocity that brings the estimated target to its wanted direction and distance."""
         ...
 
 
@@ -46,11 +46,11 @@ class SetpointGate(Protocol):
     """The gate; `follow.safety.gate.Safety` is one."""
 
     def allow(self, desired: Setpoint, estimate: Estimate, state: VehicleState, frame_t_s: float) -> Decision:
-        """What of the desired setpoint may be sent at `state.t_s`, given when the newest picture was taken."""
+        """Limit the desired setpoint at `state.t_s`; `frame_t_s` is when the newest frame was taken."""
         ...
 
     def order(self, order: Order) -> None:
-        """Take in what the operator asks for."""
+        """Take the operator's order; the next round acts on it."""
         ...
 
 

@@ -117,26 +117,40 @@ class Estimate:
 
 
 class Order(str, Enum):
-    """What the operator asks for."""
+    """What the operator orders."""
 
     FOLLOW = "follow"
     OBSERVE = "observe"
 
 
+class Mode(str, Enum):
+    """What the gate is doing."""
+
+    OBSERVE = "observe"  # track and compute, send nothing
+    READY = "ready"  # observe, with every check green
+    ENGAGE = "engage"  # FOLLOW is ordered: stream the present velocity until the autopilot obeys
+    FOLLOW = "follow"  # send the desired setpoint, within the limits
+    COAST = "coast"  # the target is not seen: send the desired setpoint, scaled down with time
+    SEARCH = "search"  # hover and turn towards the target's predicted direction
+    HOLD = "hold"  # the search has ended: hover until the operator decides
+    BRAKE = "brake"  # some data are stale: ramp to zero
+    ENDED = "ended"  # silent until the operator orders FOLLOW again
+
+
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """The gate's answer: what may be sent (None: nothing), in which mode, and what a person should read about it."""
+    """The gate's answer: the setpoint to send (None: send nothing), the gate's mode, and notes for a person."""
 
     setpoint: Setpoint | None
-    mode: str
+    mode: Mode
     notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tick:
-    """One round of the loop.  `frame` and `track` are None in a round without a new picture.
+    """One round of the loop.  `frame` and `track` are None in a round without a new frame.
 
-    `stage_ms` holds wall-clock times of the round's stages, for the record only: nothing in the loop reads them.
+    `stage_ms` maps each stage's name to its wall-clock duration in ms.  It is only recorded; the loop never reads it.
     """
 
     frame: Frame | None

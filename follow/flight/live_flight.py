@@ -1,7 +1,8 @@
 """`follow run`: what a flight needs around the loop.
 
-The loop computes and sends; a flight asks for the mode when the gate engages, lets the operator speak, feeds the
-watchdog and, however it ends, ramps down through the gate before the link asks for Hold or BRAKE.
+The loop computes and sends.  Around it, a flight requests the mode when the gate engages, reads the operator's keys
+and signals and feeds the watchdog.  However it ends, it ramps down through the gate before the link requests Hold or
+BRAKE.
 """
 
 import logging
@@ -18,27 +19,26 @@ from follow.flight.service import Service
 from follow.link import Link
 from follow.link.connection import MavlinkLink
 from follow.loop import BoxTracker, Controller, SetpointGate, TargetEstimator, follow
-from follow.messages import HOVER, NEVER, Estimate, Notify, Order, Tick
+from follow.messages import HOVER, NEVER, Estimate, Mode, Notify, Order, Tick
 from follow.operator.authority import Keys, Operator, signals
-from follow.safety.modes import Mode
 
 ROUND_S = 0.05  # 20 setpoints a second while ramping down: the usual rate for either autopilot
-LEAVE_S = 10.0  # longer than the ramp from any speed (12 m/s at 2.5 m/s2 and the gate's patience: 6.5 s)
+LEAVE_S = 10.0  # longer than the ramp from any speed (12 m/s at 2.5 m/s2 and the gate's grace period: 6.5 s)
 
 
 class FlyingLink(Link, Protocol):
-    """A Link that can also ask for the mode that obeys us."""
+    """A Link that can also request the mode in which the autopilot obeys us."""
 
     def take_control(self) -> None:
-        """Ask, once, for OFFBOARD or GUIDED."""
+        """Request OFFBOARD or GUIDED, once."""
         ...
 
 
 def engaging(ticks: Iterable[Tick], link: FlyingLink) -> Iterator[Tick]:
-    """The ticks; where the gate begins to engage, the mode is asked for, once."""
-    before = ""
+    """Pass the ticks on; request the mode once, when the gate begins to engage."""
+    before = Mode.OBSERVE
     for tick in ticks:
-        if tick.decision.mode == Mode.ENGAGE.value != before:
+        if tick.decision.mode is Mode.ENGAGE is not before:
             link.take_control()
         before = tick.decision.mode
         yield tick
@@ -47,7 +47,7 @@ def engaging(ticks: Iterable[Tick], link: FlyingLink) -> Iterator[Tick]:
 def ramping_down(
     link: Link, safety: SetpointGate, pause: Callable[[], None], rounds: int = int(LEAVE_S / ROUND_S)
 ) -> Iterator[Tick]:
-    """Rounds without a picture, which the gate answers by ramping to zero, until nothing is sent any more."""
+    """Rounds without a frame: the gate ramps to zero and then ends the stream, which ends these rounds."""
     for _ in range(rounds):
         state = link.state()
         unseen = Estimate(state.t_s, 0.0, 0.0, 1.0, 0.0)
@@ -61,7 +61,7 @@ def ramping_down(
 
 @dataclass(frozen=True, slots=True)
 class Parts:
-    """What flies: the pieces of the loop, already built, with camera and link open."""
+    """The parts of the loop, already built, with camera and link open."""
 
     camera: Camera
     link: FlyingLink
@@ -72,7 +72,7 @@ class Parts:
 
 
 def wait_a_round() -> None:
-    """Real time between two rounds of the ramp."""
+    """Wait in real time between two rounds of the ramp."""
     time.sleep(ROUND_S)
 
 
@@ -83,7 +83,7 @@ def fly(
     seconds: float = 0.0,
     pause: Callable[[], None] = wait_a_round,
 ) -> None:
-    """Fly until the camera ends, the operator leaves or `seconds` are over (0: no end), then ramp down.
+    """Fly until the camera ends, the operator leaves or `seconds` are over (0: no limit), then ramp down.
 
     An error inside the loop is raised again after the ramp.
     """
@@ -98,7 +98,7 @@ def fly(
             for tick in engaging(loop, p.link):
                 record(tick)
                 operator.see(tick)
-                service.alive(tick.state.t_s, tick.decision.mode)
+                service.alive(tick.state.t_s, tick.decision.mode.value)
                 keys.read_into(operator)
                 began_t_s = tick.state.t_s if began_t_s is None else began_t_s
                 if operator.leaving or 0.0 < seconds <= tick.state.t_s - began_t_s:
@@ -108,28 +108,28 @@ def fly(
             service.stopping()
             operator.report(f"leaving ({why}): ramping down")
             if operator.mode is Mode.ENGAGE:
-                p.safety.order(Order.OBSERVE)  # nothing to ramp yet, and nobody is to take the vehicle any more
+                p.safety.order(Order.OBSERVE)  # not in control yet: cancel the pending takeover
             for tick in ramping_down(p.link, p.safety, pause):
                 record(tick)
                 operator.see(tick)
-                service.alive(tick.state.t_s, tick.decision.mode)
+                service.alive(tick.state.t_s, tick.decision.mode.value)
             service.close()
 
 
 def preflight(link: MavlinkLink, out: Path, *, signs: bool) -> list[Finding]:
-    """What `follow doctor` finds before this flight; the conversation takes some ten seconds."""
+    """The checks of `follow doctor` before this flight; they take some ten seconds."""
     findings = check_vehicle(link.client, link.listen, time.monotonic)
     return [*findings, check_disk(out), check_time(signs, time.time()), check_signing(link.client, signs)]
 
 
 def unwaived(findings: Sequence[Finding], waived: Sequence[str], report: Notify) -> tuple[str, ...]:
-    """Say what is not well, and return what forbids to follow: each red line that `waived` does not name.
+    """Report every finding that is not OK; returns the ones that forbid FOLLOW: red and not named by `waived`.
 
-    Raises ValueError for a waiver of something that was not looked at.
+    Raises ValueError for a waiver that names no check.
     """
     names = [finding.name for finding in findings]
     if unknown := [name for name in waived if name not in names]:
-        raise ValueError(f"--waive {unknown[0]} names no check; there are {', '.join(names)}")
+        raise ValueError(f"--waive {unknown[0]} is not a check; the checks are {', '.join(names)}")
     for finding in findings:
         if finding.verdict is not Health.OK:
             report(f"{finding}{' (waived)' if finding.name in waived else ''}")
@@ -138,12 +138,12 @@ def unwaived(findings: Sequence[Finding], waived: Sequence[str], report: Notify)
 
 
 class LogForwarder(logging.Handler):
-    """What the parts log, as lines for a person."""
+    """Forwards the log records of the parts as lines for a person."""
 
     def __init__(self, report: Notify) -> None:
         super().__init__(logging.INFO)
         self._report = report
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Report one line."""
+        """Report one record."""
         self._report(record.getMessage())

@@ -67,7 +67,7 @@ class RerunRecording:
         self._box("picture/truth", scene.truth, YELLOW, "truth")
         self._controls(tick)
         if tick.decision.mode != self._mode:
-            self._mode = tick.decision.mode
+            self._mode = tick.decision.mode.value
             self._recording.log("mode", rr.StateChange(state=self._mode))
             self._say(f"mode {self._mode}", rr.TextLogLevel.INFO)
         for note in tick.decision.notes:

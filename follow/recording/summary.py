@@ -31,7 +31,7 @@ class Summary:
             self._first = tick
         else:
             spent = tick.state.t_s - self._last.state.t_s
-            self._modes[self._last.decision.mode] += spent  # pyright: ignore[reportArgumentType] - seconds count too
+            self._modes[self._last.decision.mode.value] += spent  # pyright: ignore[reportArgumentType] - seconds count too
             self._lost_s += 0.0 if self._found else spent
         self._last = tick
         self._setpoints += tick.decision.setpoint is not None
@@ -49,7 +49,7 @@ class Summary:
     def figures(self) -> Figures:
         """The figures so far."""
         if self._last is not None:
-            self._modes[self._last.decision.mode] += 0
+            self._modes[self._last.decision.mode.value] += 0
         figures: Figures = {"frames": self._frames, "seconds": round(self.seconds, 6)}
         spent_ms = sum(self._tracker_ms)
         if spent_ms > 0:

@@ -1,27 +1,15 @@
-"""The table of modes and events: what the program may be doing, and what makes it do something else."""
+"""The transition table of the gate: (mode, event) -> mode."""
 
 from enum import Enum
 
-
-class Mode(str, Enum):
-    """What the gate lets through."""
-
-    OBSERVE = "observe"  # track and compute, send nothing
-    READY = "ready"  # the same, with every check green
-    ENGAGE = "engage"  # ordered to follow: stream the present velocity until the autopilot obeys
-    FOLLOW = "follow"  # the desired setpoint, within the limits
-    COAST = "coast"  # the target is not seen: the desired setpoint, slower and slower
-    SEARCH = "search"  # hover and turn towards where it was last
-    HOLD = "hold"  # given up: hover until the operator decides
-    BRAKE = "brake"  # something is stale: ramp to zero
-    ENDED = "ended"  # silent until the operator asks again
+from follow.messages import Mode
 
 
 class Event(str, Enum):
-    """What a round can find."""
+    """What a round of the gate can find."""
 
-    ORDER_FOLLOW = "ordered to follow"
-    ORDER_OBSERVE = "ordered to observe"
+    ORDER_FOLLOW = "FOLLOW ordered"
+    ORDER_OBSERVE = "OBSERVE ordered"
     CONTROL_GAINED = "autopilot obeys"
     CONTROL_LOST = "pilot or autopilot took over"
     CHECKS_GREEN = "checks green"
@@ -30,15 +18,18 @@ class Event(str, Enum):
     STALE = "data stale"
     FRESH = "data fresh again"
     SEEN = "target seen"
-    UNSEEN = "target unseen"
-    LONG_UNSEEN = "unseen for long"
-    GIVEN_UP = "searched in vain"
+    UNSEEN = "target not seen"
+    LONG_UNSEEN = "target not seen for search_after_s"
+    GIVEN_UP = "target not seen for give_up_after_s"
     STOPPED = "stopped"
     TIMEOUT = "autopilot does not obey"
 
 
 FLYING = (Mode.FOLLOW, Mode.COAST, Mode.SEARCH, Mode.HOLD, Mode.BRAKE)
+"""Modes in which the autopilot obeys our setpoints."""
+
 STREAMING = (Mode.ENGAGE, *FLYING)
+"""Modes in which setpoints are sent."""
 
 TABLE: dict[tuple[Mode, Event], Mode] = {
     (Mode.OBSERVE, Event.CHECKS_GREEN): Mode.READY,
@@ -57,10 +48,10 @@ TABLE: dict[tuple[Mode, Event], Mode] = {
     (Mode.BRAKE, Event.FRESH): Mode.COAST,
     (Mode.BRAKE, Event.STOPPED): Mode.ENDED,
     **{(mode, Event.CONTROL_LOST): Mode.ENDED for mode in FLYING},
-    **{(mode, Event.ORDER_OBSERVE): Mode.ENDED for mode in (Mode.ENGAGE, *FLYING)},
+    **{(mode, Event.ORDER_OBSERVE): Mode.ENDED for mode in STREAMING},
     (Mode.ENDED, Event.ORDER_FOLLOW): Mode.OBSERVE,
 }
-"""(mode, event) -> the next mode.  A pair that is not here changes nothing."""
+"""(mode, event) -> the next mode.  A pair that is not in the table changes nothing."""
 
 
 def after(mode: Mode, event: Event) -> Mode:

@@ -1,8 +1,8 @@
-"""Ramps whose speed, acceleration and jerk stay within bounds whatever the goal does.
+"""Ramps whose speed, acceleration and jerk stay within bounds for any sequence of desired velocities.
 
 The bound on jerk makes braking take time, so a step is taken only if the speed bound can still be kept afterwards:
 braking at full jerk from velocity v and acceleration a ends at v + a |a| / (2 J), and that end must lie within the
-bound.  Velocities within a bound form a ball, which is convex, so everything between v and that end lies within, too.
+bound.  Velocities within a bound form a ball, which is convex, so all velocities between v and that end lie within it.
 """
 
 import math
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing_extensions import Self
 
 BISECTIONS = 12
-"""Halvings in search of the largest safe step: a thousandth of it is enough."""
+"""Bisection steps for the largest safe acceleration: the result is exact to 1/4096 of the step."""
 
 
 def norm(vector: tuple[float, ...]) -> float:
@@ -25,9 +25,9 @@ def shortened(vector: tuple[float, ...], longest: float) -> tuple[float, ...]:
     return vector if length <= longest else tuple(v * (longest / length) for v in vector)
 
 
-def mixed(a: tuple[float, ...], b: tuple[float, ...], share: float) -> tuple[float, ...]:
-    """a + share (b - a)."""
-    return tuple(p + share * (q - p) for p, q in zip(a, b, strict=True))
+def mixed(a: tuple[float, ...], b: tuple[float, ...], fraction: float) -> tuple[float, ...]:
+    """a + fraction (b - a)."""
+    return tuple(p + fraction * (q - p) for p, q in zip(a, b, strict=True))
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,28 +37,28 @@ class VelocityRamp:
     v: tuple[float, ...] = (0.0, 0.0)
     a: tuple[float, ...] | None = None
 
-    def towards(self, goal: tuple[float, ...], dt_s: float, speed: float, accel: float, jerk: float) -> Self:
-        """One step of `dt_s` towards the goal: |v| <= speed, |dv| <= accel dt, |da| <= jerk dt."""
+    def towards(self, desired: tuple[float, ...], dt_s: float, speed: float, accel: float, jerk: float) -> Self:
+        """One step of `dt_s` towards the desired velocity: |v| <= speed, |dv| <= accel dt, |da| <= jerk dt."""
         a = self.a or (0.0,) * len(self.v)
         if dt_s <= 0:
             return type(self)(self.v, a)
-        error = tuple(g - v for g, v in zip(shortened(goal, speed), self.v, strict=True))
+        error = tuple(d - v for d, v in zip(shortened(desired, speed), self.v, strict=True))
         away = norm(error)
-        # From here the acceleration can still fall to zero, at full jerk, just as the goal is reached.
+        # With this acceleration, full jerk brings it back to zero just as the desired velocity is reached.
         strongest = min(accel, math.sqrt(2 * jerk * away), away / dt_s)
         wanted = tuple(e / away * strongest for e in error) if away > 0 else (0.0,) * len(error)
         change = shortened(tuple(w - p for w, p in zip(wanted, a, strict=True)), jerk * dt_s)
         best = shortened(tuple(p + q for p, q in zip(a, change, strict=True)), accel)
         brake = shortened(a, max(norm(a) - jerk * dt_s, 0.0))
         chosen = safest(self.v, brake, best, dt_s, speed, jerk)
-        # The last clip only removes rounding.
+        # The last shortening only removes rounding errors.
         return type(self)(shortened(tuple(v + p * dt_s for v, p in zip(self.v, chosen, strict=True)), speed), chosen)
 
 
 def safest(
     v: tuple[float, ...], brake: tuple[float, ...], best: tuple[float, ...], dt_s: float, speed: float, jerk: float
 ) -> tuple[float, ...]:
-    """The acceleration nearest to `best`, on the way from `brake`, after which the speed bound can be kept."""
+    """The acceleration nearest to `best`, on the line from `brake`, after which the speed bound can still be kept."""
 
     def keeps(a: tuple[float, ...]) -> bool:
         reach = dt_s + norm(a) / (2 * jerk)
@@ -79,8 +79,8 @@ class YawRateRamp:
 
     rate: float = 0.0
 
-    def towards(self, goal: float, dt_s: float, fastest: float, accel: float) -> Self:
-        """One step of `dt_s` towards the goal: |rate| <= fastest, |change| <= accel dt."""
+    def towards(self, desired: float, dt_s: float, fastest: float, accel: float) -> Self:
+        """One step of `dt_s` towards the desired rate: |rate| <= fastest, |change| <= accel dt."""
         step = accel * max(dt_s, 0.0)
-        wanted = min(max(goal, -fastest), fastest)
+        wanted = min(max(desired, -fastest), fastest)
         return type(self)(self.rate + min(max(wanted - self.rate, -step), step))

@@ -3,8 +3,7 @@
 import pytest
 
 from follow.control.acquire import Acquire
-from follow.messages import Autopilot, Order
-from follow.safety.modes import Mode
+from follow.messages import Autopilot, Mode, Order
 from racf.box import Box
 from racf.track import Track
 from tests.support.fault_rig import Rig
@@ -25,7 +24,7 @@ def test_an_order_after_minutes_of_watching_is_flown_like_an_early_one(autopilot
     rig.operator.at_once = False
     rig.fly()
     assert rig.error is None
-    assert rig.ticks[-1].decision.mode == Mode.ENDED.value  # left by itself at the end
+    assert rig.ticks[-1].decision.mode is Mode.ENDED  # left by itself at the end
     ranges = [15.0 - s.motion.north_m for s in rig.samples]
     assert min(ranges) > 10.0  # the wanted distance is 12 m
     assert ranges[-1] == pytest.approx(12.0, abs=1.0)
@@ -86,6 +85,6 @@ def test_with_a_sight_the_order_starts_on_what_is_in_the_box_then(autopilot):
     rig.operator.aim = aim
     rig.fly()
     assert told == [sight, sight]
-    following = [t for t in rig.ticks if t.decision.mode == Mode.FOLLOW.value]
+    following = [t for t in rig.ticks if t.decision.mode is Mode.FOLLOW]
     assert following[-1].estimate.range_m == pytest.approx(12.0, abs=1.5)
     assert abs(following[-1].estimate.azimuth_rad) < 0.05

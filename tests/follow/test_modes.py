@@ -1,6 +1,7 @@
 import pytest
 
-from follow.safety.modes import FLYING, STREAMING, TABLE, Event, Mode, after
+from follow.messages import Mode
+from follow.safety.modes import FLYING, STREAMING, TABLE, Event, after
 
 
 @pytest.mark.parametrize("event", Event)

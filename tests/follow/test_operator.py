@@ -12,7 +12,7 @@ import pytest
 from follow.flight.live_flight import unwaived
 from follow.flight.preflight import Finding, Health
 from follow.flight.service import Service
-from follow.messages import HOVER, Decision, Estimate, Order, Tick, VehicleState
+from follow.messages import HOVER, Decision, Estimate, Mode, Order, Tick, VehicleState
 from follow.operator.authority import Keys, Operator, signals
 
 CENTRED = (1500, 1500, 1000, 1500)  # a throttle rests at its lower end
@@ -38,7 +38,7 @@ class Desk:
         self.t_s += 0.1
         state = VehicleState(self.t_s, mode="OFFBOARD")
         nowhere = Estimate(self.t_s, 0.0, 0.0, 1.0, 1.0)
-        self.operator.see(Tick(None, None, state, nowhere, HOVER, Decision(None, mode)))
+        self.operator.see(Tick(None, None, state, nowhere, HOVER, Decision(None, Mode(mode))))
         if isinstance(self.operator.heard, Ears):
             self.operator.heard.rc_t_s = self.t_s
         return self.operator()
@@ -121,7 +121,7 @@ def test_signals_order_and_leave_and_the_second_leave_does_not_wait():
 
 
 def test_a_waiver_must_name_a_check_and_lets_only_that_one_pass():
-    red = [Finding(name, Health.RED, "bad", "mend it") for name in ("disk", "signing")]
+    red = [Finding(name, Health.RED, "bad", "fix it") for name in ("disk", "signing")]
     lines: list[str] = []
     assert unwaived([*red, Finding("link", Health.OK, "fine")], ["disk"], lines.append) == ("signing is red",)
     assert len(lines) == 2
@@ -148,7 +148,7 @@ def test_the_watchdog_is_fed_by_rounds_and_never_blocks(tmp_path):
 def test_a_mode_is_said_once_with_its_reasons():
     d = desk()
     tick = Tick(
-        None, None, VehicleState(1.0), Estimate(1.0, 0.0, 0.0, 1.0, 1.0), HOVER, Decision(None, "brake", ("old",))
+        None, None, VehicleState(1.0), Estimate(1.0, 0.0, 0.0, 1.0, 1.0), HOVER, Decision(None, Mode.BRAKE, ("old",))
     )
     d.operator.see(tick)
     d.operator.see(replace(tick))

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from follow.messages import NEVER, Decision, Estimate, Frame, Setpoint, Tick, VehicleState
+from follow.messages import NEVER, Decision, Estimate, Frame, Mode, Setpoint, Tick, VehicleState
 from follow.recording.recorder import RecordConfig, Recorder, set_aside
 from follow.recording.rows import COLUMNS, row
 from follow.recording.summary import Summary
@@ -38,7 +38,9 @@ def tick(n: int, *, found: bool = True, mode: str = "follow", ms: float = 4.0) -
     sent = Setpoint(1.0, 0.0, -0.1, 0.2)
     notes = ("frame is 0.30 s old, so", 'a "quoted" note') if n == 4 else ()
     stage_ms = {"tracker": ms, "control": 0.5, "send": 0.1}
-    return Tick(Frame(IMAGE, t_s, n), track, VehicleState(t_s), estimate, sent, Decision(sent, mode, notes), stage_ms)
+    return Tick(
+        Frame(IMAGE, t_s, n), track, VehicleState(t_s), estimate, sent, Decision(sent, Mode(mode), notes), stage_ms
+    )
 
 
 def silent(text: str) -> None:

@@ -5,16 +5,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from follow.messages import HOVER, NEVER, Estimate, Order, Setpoint, VehicleState
+from follow.messages import HOVER, NEVER, Estimate, Mode, Order, Setpoint, VehicleState
 from follow.safety.envelope import approach_speed, in_view, limit_closing_speed, limit_to_fence
 from follow.safety.gate import Gate, Limits, Safety, decide
-from follow.safety.modes import Mode
 from follow.safety.ramps import VelocityRamp, YawRateRamp
 
 LIMITS = Limits()
 DT = 1 / 30
 any_float = st.floats(allow_nan=True, allow_infinity=True)
-wishes = st.builds(Setpoint, any_float, any_float, any_float, any_float)
+desired_setpoints = st.builds(Setpoint, any_float, any_float, any_float, any_float)
 
 
 def flying(t_s, **changes):
@@ -45,7 +44,7 @@ def engaged(**changes):
 
 
 def fly(safety, t_s, seconds, desired, seen_t_s=None, frame_t_s=None, **changes):
-    """Rounds of one wish; the decisions."""
+    """Rounds with one desired setpoint; returns the decisions."""
     decisions = []
     for i in range(1, round(seconds / DT) + 1):
         now = t_s + i * DT
@@ -56,7 +55,7 @@ def fly(safety, t_s, seconds, desired, seen_t_s=None, frame_t_s=None, **changes)
     return decisions
 
 
-@given(st.lists(st.tuples(wishes, st.floats(-0.2, 0.5), any_float, any_float), min_size=1, max_size=40))
+@given(st.lists(st.tuples(desired_setpoints, st.floats(-0.2, 0.5), any_float, any_float), min_size=1, max_size=40))
 @settings(deadline=None)
 def test_no_desired_setpoint_passes_a_limit_whatever_comes(rounds):
     safety, t_s = engaged()
@@ -82,7 +81,7 @@ def check(before, gate, dt):
     assert jerk <= LIMITS.jerk_m_s3 * dt + slack
 
 
-@given(wishes, any_float, any_float, any_float, any_float)
+@given(desired_setpoints, any_float, any_float, any_float, any_float)
 @settings(deadline=None)
 def test_what_comes_out_is_finite_or_nothing(desired, t_s, frame_t_s, number, seen_t_s):
     safety, _ = engaged()
@@ -158,7 +157,7 @@ def test_an_autopilot_that_does_not_obey_is_left_in_peace():
     safety = Safety(LIMITS)
     safety.order(Order.FOLLOW)
     decisions = fly(safety, 0.0, 8.0, HOVER, in_control=False)
-    assert decisions[-1].mode == Mode.ENDED.value
+    assert decisions[-1].mode is Mode.ENDED
     assert decisions[-1].setpoint is None
 
 

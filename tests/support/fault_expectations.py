@@ -1,4 +1,4 @@
-"""What may be expected of a flight with a fault in it: said, bounded, judged and measured."""
+"""Expectations of a flight with a fault: a text, a bound, a judge and the measured value."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -7,14 +7,14 @@ from follow.messages import Autopilot
 from tests.support.fault_rig import Outcome
 
 HOLD = {Autopilot.PX4: "HOLD", Autopilot.ARDUPILOT: "BRAKE"}
-ASK_TIMES = 3  # one request, repeated while it stays unanswered (MAVLink's command protocol)
+ASK_TIMES = 3  # one request, repeated while there is no answer (MAVLink's command protocol)
 
 Judge = Callable[[Outcome, Autopilot], list[str]]
 
 
 @dataclass(frozen=True)
 class Expectation:
-    """What must happen, its bound as a person reads it, the judge, who returns what is wrong, and what was measured."""
+    """What must happen, its bound as text, the judge, which returns the failures, and the measured value as text."""
 
     must: str
     bound: str
@@ -23,16 +23,16 @@ class Expectation:
 
 
 def stand(o: Outcome) -> str:
-    """How a stop reads."""
+    """A stop as text."""
     return f"{o.stop_s:.1f} s, {o.stop_m:.1f} m" if o.stop_s is not None else f"never stood, {o.stop_m:.1f} m"
 
 
 def silence(o: Outcome) -> str:
-    """How falling silent reads."""
+    """The end of the stream as text."""
     return f"last setpoint after {max(o.silent_s, 0.0):.2f} s"
 
 
-# What may be expected.  From 3 m/s the gate's ramp takes 1.5 s and 2.6 m; a PX4 without position control then drifts.
+# From 3 m/s the gate's ramp takes 1.5 s and 2.6 m; a PX4 without position control then drifts.
 
 
 def stopped(o: Outcome, within_s: float, within_m: float) -> list[str]:
@@ -45,7 +45,7 @@ def stopped(o: Outcome, within_s: float, within_m: float) -> list[str]:
 
 
 def stops(within_s: float, within_m: float) -> Expectation:
-    """It ramps down, the stream ends, Hold or BRAKE is asked for (again only while nobody answers)."""
+    """It ramps down, the stream ends, Hold or BRAKE is requested (again only while there is no answer)."""
 
     def judge(o: Outcome, autopilot: Autopilot) -> list[str]:
         wrong = stopped(o, within_s, within_m)
@@ -54,15 +54,15 @@ def stops(within_s: float, within_m: float) -> Expectation:
         if o.vehicle_mode != HOLD[autopilot]:
             wrong.append(f"the vehicle ended in {o.vehicle_mode}")
         if o.modes_asked > ASK_TIMES:
-            wrong.append(f"{o.modes_asked} modes were asked for")
+            wrong.append(f"{o.modes_asked} modes were requested")
         return wrong
 
-    must = "ramps to zero, ends the stream, asks for Hold or BRAKE"
+    must = "ramps to zero, ends the stream, requests Hold or BRAKE"
     return Expectation(must, f"stands within {within_s:g} s, {within_m:g} m", judge, stand)
 
 
 def hovers(within_s: float, within_m: float) -> Expectation:
-    """It hovers and goes on streaming, for the target may come back."""
+    """It hovers and goes on streaming: the target may come back."""
 
     def judge(o: Outcome, autopilot: Autopilot) -> list[str]:
         wrong = stopped(o, within_s, within_m)
@@ -75,7 +75,7 @@ def hovers(within_s: float, within_m: float) -> Expectation:
 
 
 def goes_on(off_m: float) -> Expectation:
-    """It follows as if nothing had happened."""
+    """It goes on following at the wanted distance."""
 
     def judge(o: Outcome, autopilot: Autopilot) -> list[str]:
         wrong = [] if o.setpoints_at_end else ["the stream ended"]
@@ -89,17 +89,17 @@ def goes_on(off_m: float) -> Expectation:
 
 
 def falls_silent(within_s: float, modes: tuple[str, ...] = ()) -> Expectation:
-    """Somebody else has the vehicle: not one setpoint and no mode request more."""
+    """Somebody else has the vehicle: no more setpoints and no mode requests."""
 
     def judge(o: Outcome, autopilot: Autopilot) -> list[str]:
         wrong = [] if o.silent_s <= within_s else [f"sent until {o.silent_s:.2f} s"]
         if o.modes_asked:
-            wrong.append(f"{o.modes_asked} modes were asked for")
+            wrong.append(f"{o.modes_asked} modes were requested")
         if modes and o.vehicle_mode not in modes:
             wrong.append(f"the vehicle ended in {o.vehicle_mode}")
         return wrong
 
-    must = "falls silent and stays so, asks for nothing"
+    must = "ends the stream for good, requests nothing"
     return Expectation(must, f"last setpoint within {within_s:g} s", judge, silence)
 
 
@@ -112,12 +112,12 @@ def pilot_has_it(within_s: float) -> Expectation:
             wrong.append(f"the vehicle ended in {o.vehicle_mode}")
         return wrong
 
-    must = "falls silent; the pilot has it, or Hold or BRAKE"
+    must = "ends the stream; the vehicle is in the pilot's mode, Hold or BRAKE"
     return Expectation(must, f"last setpoint within {within_s:g} s", judge, silence)
 
 
 def lost_link(within_s: float, within_m: float) -> Expectation:
-    """Nothing can be said to the vehicle: its own failsafe stops it, and it is not taken again."""
+    """The vehicle hears nothing: its own failsafe stops it, and it is not taken again."""
 
     def judge(o: Outcome, autopilot: Autopilot) -> list[str]:
         wrong = stopped(o, within_s, within_m)
@@ -132,7 +132,7 @@ def lost_link(within_s: float, within_m: float) -> Expectation:
 
 
 def within(what: str, bound: str, value: Callable[[Outcome], float], holds: Callable[[float], bool]) -> Expectation:
-    """A limit of place is kept while it goes on following."""
+    """A limit on position is kept while it goes on following."""
 
     def judge(o: Outcome, autopilot: Autopilot) -> list[str]:
         wrong = [] if o.setpoints_at_end else ["the stream ended"]
@@ -144,7 +144,7 @@ def within(what: str, bound: str, value: Callable[[Outcome], float], holds: Call
 
 
 def either(one: Expectation, other: Expectation) -> Expectation:
-    """Both are safe, and which it is hangs on the moment."""
+    """Either outcome is safe; the moment of the fault decides which it is."""
 
     def judge(o: Outcome, autopilot: Autopilot) -> list[str]:
         return one.judge(o, autopilot) and other.judge(o, autopilot)

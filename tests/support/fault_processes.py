@@ -1,4 +1,4 @@
-"""The rows of the fault matrix where the process is the point: `follow run` over UDP, in real time."""
+"""The rows of the fault matrix that need a process: `follow run` over UDP, in real time."""
 
 import math
 import resource
@@ -19,7 +19,7 @@ BOTH = ("px4", "ardupilot")
 
 @dataclass
 class Track:
-    """The vehicle's own word on its motion since the fault, heard by the pilot."""
+    """The vehicle's reported motion since the fault, received on the pilot's link."""
 
     real: Real
     began_s: float = field(default_factory=time.monotonic)
@@ -92,7 +92,7 @@ def too_far(stop: tuple[float | None, float], within_s: float, within_m: float) 
 
 
 def leave_by(number: int) -> Callable[[Real], Judged]:
-    """A signal that asks it to leave: it ramps down, asks for Hold or BRAKE, says so and ends with 0."""
+    """A signal ends it: it ramps down, requests Hold or BRAKE, reports it and exits with 0."""
 
     def act(real: Real) -> Judged:
         track = Track(real)
@@ -157,7 +157,7 @@ def still_following(real: Real, seconds: float) -> list[str]:
 
 
 def disk_full(real: Real) -> Judged:
-    """Every file of the recording is at its limit: one line each, and the flight goes on."""
+    """Every file of the recording reached its size limit: one line each, and the flight goes on."""
     full = real.application.said("no longer written|ends here|cannot be written|File too large")
     wrong = still_following(real, 3.0)
     if not full:
@@ -167,13 +167,13 @@ def disk_full(real: Real) -> Judged:
 
 
 def little_disk() -> None:
-    """In the child: no file may grow beyond 150 kB, which the recording passes within seconds."""
+    """In the child: limits files to 150 kB, which the recording exceeds within seconds."""
     signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (150_000, 150_000))
 
 
 def nobody_reads(real: Real) -> Judged:
-    """The terminal or viewer that read what it says is gone: the flight goes on and still ends well."""
+    """The terminal or viewer that reads its messages is gone: the flight goes on and still ends with 0."""
     process = real.application.process
     assert process.stderr is not None
     real.application.stop_listening()
@@ -187,7 +187,7 @@ def nobody_reads(real: Real) -> Judged:
     return wrong + ([f"exit status {status}"] if status else []), "flew on"
 
 
-LEAVES = "ramps down, asks for Hold or BRAKE, says so, ends with status 0"
+LEAVES = "ramps down, requests Hold or BRAKE, reports it, ends with status 0"
 PROCESS_ROWS = (
     ProcessRow("Ctrl-C", LEAVES, "stands within 6 s, 6 m", leave_by(signal.SIGINT)),
     ProcessRow("SIGTERM", LEAVES, "stands within 6 s, 6 m", leave_by(signal.SIGTERM), ("ardupilot",), fast=True),
@@ -195,19 +195,23 @@ PROCESS_ROWS = (
     ProcessRow("SIGKILL", "the autopilot's failsafe stops it", "stands within 7 s, 8 m", killed),
     ProcessRow(
         "SIGSTOP for 5 s",
-        "the failsafe stops it; awake again, it does not retake the vehicle",
+        "the failsafe stops it; after waking it does not retake the vehicle",
         "stands within 7 s, 8 m",
         frozen,
     ),
     ProcessRow(
         "recorder's disk full",
-        "says so, goes on following",
+        "reports it, goes on following",
         "more than 3 setpoints/s",
         disk_full,
         ("px4",),
         options={"preexec_fn": little_disk},
     ),
     ProcessRow(
-        "viewer gone", "goes on following, leaves as ever", "more than 3 setpoints/s", nobody_reads, ("ardupilot",)
+        "viewer gone",
+        "goes on following, still ends with status 0",
+        "more than 3 setpoints/s",
+        nobody_reads,
+        ("ardupilot",),
     ),
 )

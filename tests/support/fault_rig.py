@@ -1,8 +1,8 @@
-"""A whole flight in lockstep on a virtual clock, into which faults are put.
+"""A whole flight in lockstep on a virtual clock, with faults injected.
 
 The application's own session (`follow.flight.live_flight.fly`) with the real target, servo and gate, the MAVLink
-client in memory and the simulated autopilot with its rules.  Only the camera and the tracker are replaced, by ones that
-know the truth, except where a fault is one of the picture itself.
+client in memory and the simulated autopilot with its rules.  Only the camera and the tracker are replaced: the tracker
+returns the true box unless a fault changes it.
 """
 
 import math
@@ -42,7 +42,7 @@ Way = Callable[[list[bytes]], list[bytes]]
 
 
 def unspoilt(packets: list[bytes]) -> list[bytes]:
-    """Everything passes as it is."""
+    """Pass everything on."""
     return packets
 
 
@@ -59,7 +59,7 @@ class Sample:
 
 @dataclass
 class Rig:
-    """One flight.  A fault changes the hooks, the autopilot or the vehicle behind it when its time has come."""
+    """One flight.  At `fault_t_s`, `inject` changes the hooks, the autopilot or its vehicle."""
 
     autopilot: Autopilot
     inject: Callable[["Rig"], None]
@@ -99,14 +99,14 @@ class Rig:
 
     @property
     def now_s(self) -> float:
-        """What the application's clock shows."""
+        """The application's clock."""
         return self.t_s + self.jump_s
 
     def target_place(self, t_s: float) -> tuple[float, float]:
-        """North and east: it stands until the vehicle follows, then jogs away on a slight bend."""
-        way = self.walk_m_s * max(t_s - 6.0, 0.0)
+        """North and east: it stands for 6 s, then runs away on a slight bend."""
+        path_m = self.walk_m_s * max(t_s - 6.0, 0.0)
         radius = 60.0
-        return 10.0 + radius * math.sin(way / radius), radius * (1 - math.cos(way / radius))
+        return 10.0 + radius * math.sin(path_m / radius), radius * (1 - math.cos(path_m / radius))
 
     def true_box(self) -> Box | None:
         m = self.motion
@@ -157,7 +157,7 @@ class Rig:
             index += 1
 
     def update(self, _image: np.ndarray, _prior: Box | None = None) -> Track:
-        """As a tracker: the truth, or lost when it is not in the picture."""
+        """As a tracker: the true box, or lost when it is not in the image."""
         box = self.true_box()
         where = box or Box(0, 0, 20, 40)
         return self.track(Track(where, where.scaled(3), 15.0, 60.0, 1.0, found=box is not None))
@@ -199,7 +199,7 @@ class Rig:
 
 @dataclass
 class Wishing:
-    """A servo whose wish a fault may change."""
+    """A servo whose desired setpoint a fault may change."""
 
     servo: Servo
     rig: Rig
@@ -210,11 +210,11 @@ class Wishing:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one flight came to, by the vehicle's true motion since the fault."""
+    """The result of one flight, by the vehicle's true motion since the fault."""
 
     followed: bool  # it was in FOLLOW when the fault came
     stop_s: float | None  # until it stood for good; None: it never did
-    stop_m: float  # way flown until then, or to the end
+    stop_m: float  # distance flown until then, or to the end
     silent_s: float  # until the last setpoint was sent
     gate_mode: str
     vehicle_mode: str
@@ -228,13 +228,13 @@ class Outcome:
 
 
 def outcome(rig: Rig) -> Outcome:
-    """Read a flight."""
+    """Measure a flight."""
     after = [s for s in rig.samples if s.t_s >= rig.fault_t_s]
     speeds = [math.hypot(s.motion.north_m_s, s.motion.east_m_s) for s in after]
     moving = [i for i, speed in enumerate(speeds) if speed > STILL_M_S]
     last = moving[-1] + 1 if moving else 0
     stood = last < len(after) - round(0.5 / FRAME_S)
-    way = sum(speed * FRAME_S for speed in speeds[:last])
+    distance_m = sum(speed * FRAME_S for speed in speeds[:last])
     before = [t for t in rig.ticks if t.state.t_s < rig.fault_t_s]
     end = next((s for s in after if s.t_s >= rig.end_t_s - FRAME_S), after[-1])
     north, east = rig.target_place(end.t_s)
@@ -242,7 +242,7 @@ def outcome(rig: Rig) -> Outcome:
     return Outcome(
         followed=bool(before) and before[-1].decision.mode == "follow",
         stop_s=after[last].t_s - rig.fault_t_s if stood else None,
-        stop_m=way,
+        stop_m=distance_m,
         silent_s=rig.last_setpoint_t_s - rig.fault_t_s,
         gate_mode=rig.ticks[-1].decision.mode,
         vehicle_mode=after[-1].mode,

@@ -1,4 +1,4 @@
-"""The fault matrix in lockstep, as data: what is done to a flight, what must happen, within which bound."""
+"""The fault matrix in lockstep, as data: the fault, what must happen and its bound."""
 
 import math
 from collections import deque
@@ -31,7 +31,7 @@ HEARTBEAT, ATTITUDE, POSITION = 0, 30, 32
 
 @dataclass(frozen=True)
 class Row:
-    """One fault.  `rig` holds what differs in the flight, `fast` marks the rows that every test run flies."""
+    """One fault.  `rig` holds the flight's own settings; `fast` marks the rows that every test run flies."""
 
     name: str
     inject: Callable[[Rig], None]
@@ -58,7 +58,7 @@ class Result:
     lines: tuple[str, ...]
 
 
-# What may be done to a flight
+# Faults
 
 
 def number(packet: bytes) -> int:
@@ -89,7 +89,7 @@ def drop_for(seconds: float) -> Callable[[Rig], None]:
 
 
 def hold_up_for(seconds: float) -> Callable[[Rig], None]:
-    """A network that stalls and then brings all pictures, three a round: the newest of them, with the time it shows."""
+    """A network that stalls, then delivers all frames, three a round: the newest of them, with its own time."""
 
     def inject(rig: Rig) -> None:
         waiting: deque[tuple[Frame, Box]] = deque()
@@ -186,7 +186,7 @@ def freeze(rig: Rig) -> None:
 
 
 def black(rig: Rig) -> None:
-    """All zero, with fresh times; a black picture with noise is the tracker's to call lost."""
+    """All zero, with fresh times; with noise on it, the tracker must report the target lost."""
     rig.see = lambda frame: frame and replace(frame, image=np.zeros_like(frame.image))
 
 
@@ -239,12 +239,12 @@ def refused(rig: Rig) -> None:
 
 
 def jump(rig: Rig) -> None:
-    """The tracker is sure of something else, five times as large and far off."""
+    """The tracker reports something else with full confidence, five times as large and far off."""
     rig.track = lambda track: replace(track, box=Box.around(80.0, 60.0, 5 * track.box.w, 5 * track.box.h))
 
 
 def hop(rig: Rig) -> None:
-    """The box leaps to and fro by more than its width at every picture."""
+    """The box jumps to and fro by more than its width at every frame."""
 
     def track(true: Track) -> Track:
         return replace(true, box=true.box.moved(2.5 * true.box.w * rig.chance.choice((-1, 1)), 0.0))
@@ -288,18 +288,20 @@ def our_clock(by_s: float) -> Callable[[Rig], None]:
 
 def desired(setpoint: Setpoint) -> Callable[[Rig], None]:
     def inject(rig: Rig) -> None:
-        rig.desired = lambda _wish: setpoint
+        rig.desired = lambda _desired: setpoint
 
     return inject
 
 
-def wild_wish(rig: Rig) -> None:
-    """The servo asks for anything."""
-    rig.desired = lambda _wish: Setpoint(*(rig.chance.choice((math.nan, math.inf, 1e9, -1e9, 5.0)) for _ in range(4)))
+def wild_desired(rig: Rig) -> None:
+    """The servo returns anything."""
+    rig.desired = lambda _desired: Setpoint(
+        *(rig.chance.choice((math.nan, math.inf, 1e9, -1e9, 5.0)) for _ in range(4))
+    )
 
 
 def stick(rig: Rig) -> None:
-    """The remote control wakes with its sticks at rest; a second later the pilot pushes one."""
+    """The remote control appears with its sticks at rest; a second later the pilot pushes one."""
 
     def way(packets: list[bytes]) -> list[bytes]:
         pushed = rig.t_s > rig.fault_t_s + 1.0
@@ -310,20 +312,20 @@ def stick(rig: Rig) -> None:
 
 
 def nothing(_rig: Rig) -> None:
-    """No fault: the border itself is what is met."""
+    """No fault: the limit itself is what the row tests."""
 
 
 NEAR = replace(Limits(), fence_m=30.0)
 LOW = replace(Limits(), ceiling_m=11.0)
 PILOT_HAS_IT = pilot_has_it(2.2)
 STOP = stops(5.0, 7.0)
-WITHIN_SPEED = within("no limit is passed, in control", "8 m/s + 0.5 m/s", lambda o: o.fastest_m_s, lambda v: v < 8.5)
+WITHIN_SPEED = within("exceeds no limit, in control", "8 m/s + 0.5 m/s", lambda o: o.fastest_m_s, lambda v: v < 8.5)
 
 ROWS = (
     Row("camera stalls", stall, STOP, fast=True),
-    Row("network holds pictures up for 0.8 s", hold_up_for(0.8), goes_on(3.0)),
-    Row("camera repeats one picture", freeze, STOP, fast=True),
-    Row("picture goes black", black, STOP),
+    Row("network delays frames by 0.8 s", hold_up_for(0.8), goes_on(3.0)),
+    Row("camera repeats one frame", freeze, STOP, fast=True),
+    Row("image goes black", black, STOP),
     Row("decoder error", decoder_error, STOP),
     Row("target lost", lose, hovers(7.0, 12.0), fast=True),
     Row("target lost for 1 s", lose_for(1.0), goes_on(3.0)),
@@ -357,7 +359,7 @@ ROWS = (
     Row("vehicle's clock jumps -0.5 s", vehicle_clock(-0.5), either(STOP, goes_on(3.0))),
     Row("our clock jumps +5 s", our_clock(5.0), STOP),
     Row("our clock jumps -5 s", our_clock(-5.0), WITHIN_SPEED),
-    Row("servo asks for NaN, inf and 10^9", wild_wish, WITHIN_SPEED),
+    Row("servo returns NaN, inf and 10^9", wild_desired, WITHIN_SPEED),
     Row("low battery failsafe of the autopilot", low_battery, falls_silent(1.2, ("RTL", "LAND"))),
     Row("autopilot's fence reached", autopilots_fence, falls_silent(1.2, ("RTL", "LAND"))),
     Row(

@@ -1,35 +1,37 @@
-"""Write docs/modes.md and docs/limits.md from the code: the table of modes and events, the gate's numbers.
+"""Write docs/modes.md and docs/limits.md from the code: the table of modes and events, the gate's limits.
 
     python -m tools.docs.safety
 
-A test holds that both files say what the code says.
+A test compares both files with the code.
 """
 
 import re
 from pathlib import Path
 
-from follow.safety import limits, modes
+from follow import messages
+from follow.messages import Mode
+from follow.safety import limits
 from follow.safety.limits import Limits
-from follow.safety.modes import FLYING, TABLE, Event, Mode
+from follow.safety.modes import FLYING, STREAMING, TABLE, Event
 
 DOCS = Path(__file__).parents[2] / "docs"
 
 
 def reason(source: Path, name: str) -> str:
-    """The comment beside a definition of that name."""
+    """The comment beside the definition of `name`."""
     found = re.search(rf"(?m)^    {name}\b[^#\n]*#\s*(.*)$", source.read_text())
-    return found.group(1).lstrip(". ") if found else ""
+    return found.group(1) if found else ""
 
 
 def modes_page() -> str:
     """The diagram (Mermaid, which GitHub draws) and the table."""
-    source = Path(modes.__file__)
+    source = Path(messages.__file__)
     lines = [
         "# Modes of the gate",
         "",
-        "Made from the table in `follow/safety/modes.py` by `python -m tools.docs.safety`. An event that the table",
-        "does not name for a mode changes nothing. A takeover, a disarm or the order to observe ends every flying",
-        "mode; stale data brake every flying mode; these arrows are left out of the picture, not out of the table.",
+        "Generated from the table in `follow/safety/modes.py` by `python -m tools.docs.safety`. An event that the",
+        "table does not name for a mode changes nothing. A takeover, a disarm or the order OBSERVE ends every flying",
+        "mode, and stale data change every flying mode to brake; the diagram leaves these arrows out.",
         "",
         "```mermaid",
         "stateDiagram-v2",
@@ -39,7 +41,7 @@ def modes_page() -> str:
     lines += [f"    {a.value} --> {b.value}: {e.value}" for (a, e), b in TABLE.items() if e not in common]
     lines += ["```", "", "| mode | what it does | sends |", "|---|---|---|"]
     for mode in Mode:
-        sends = "setpoints" if mode in modes.STREAMING else "nothing"
+        sends = "setpoints" if mode in STREAMING else "nothing"
         lines.append(f"| {mode.value} | {reason(source, mode.name)} | {sends} |")
     names = ", ".join(mode.value for mode in FLYING)
     lines += ["", f"Flying modes: {names}.", "", "| in | on | to |", "|---|---|---|"]
@@ -48,15 +50,15 @@ def modes_page() -> str:
 
 
 def limits_page() -> str:
-    """Each limit with its default and why."""
+    """Each limit with its default, its meaning and its source."""
     source = Path(limits.__file__)
     lines = [
         "# Limits of the gate",
         "",
-        "Made from `follow/safety/limits.py` by `python -m tools.docs.safety`. On the command line: "
+        "Generated from `follow/safety/limits.py` by `python -m tools.docs.safety`. On the command line: "
         "`--limits.speed-m-s 2`.",
         "",
-        "| limit | default | why |",
+        "| limit | default | meaning and source |",
         "|---|---|---|",
     ]
     defaults = Limits()

@@ -1,9 +1,9 @@
-"""Random wishes, states and times through the gate: no limit broken, no number out that is not finite.
+"""Random desired setpoints, states and times through the gate: no limit is broken, every number sent is finite.
 
     python -m tools.fuzz.gate --rounds 1000000 --seed 0
 
-Prints one line of figures; exits 1 at the first breach, naming it.  The checks read the gate's state before and after
-by plain arithmetic and share no code with the gate.
+Prints one line of figures; exits 1 at the first breach and names it.  The checks compare the gate's state before and
+after a round by plain arithmetic and share no code with the gate.
 """
 
 import argparse
@@ -13,7 +13,7 @@ import random
 import sys
 import time
 
-from follow.messages import Decision, Estimate, Order, Setpoint, VehicleState
+from follow.messages import Decision, Estimate, Mode, Order, Setpoint, VehicleState
 from follow.safety.gate import Gate, Limits, decide
 
 WILD = (math.nan, math.inf, -math.inf, 1e308, -1e308, 5e-324, 0.0, -0.0, 1e9, -1e9)
@@ -22,12 +22,12 @@ SLACK = 1e-9
 
 
 def number(rng: random.Random, scale: float, wild: float) -> float:
-    """A number about `scale`, or with the probability `wild` something absurd."""
+    """A normal number of standard deviation `scale`, or with probability `wild` an absurd one."""
     return rng.choice(WILD) if rng.random() < wild else rng.gauss(0.0, scale)
 
 
 def flight(rng: random.Random, rounds: int):
-    """Yield (wish, estimate, state, frame time, order) of one flight whose data go mad now and then."""
+    """Yield (desired, estimate, state, frame time, order) of one flight with invalid data now and then."""
     t_s, wild = rng.uniform(0, 1e4), rng.choice((0.0, 0.0, 0.01, 0.2))
     yaw, control = rng.uniform(-math.pi, math.pi), True
     north, east, down = rng.gauss(0, 200), rng.gauss(0, 200), -abs(rng.gauss(20, 30))
@@ -63,7 +63,7 @@ def flight(rng: random.Random, rounds: int):
 
 
 def breach(before: Gate, gate: Gate, decision: Decision, state: VehicleState, fresh: bool) -> str | None:
-    """Which limit the round broke, if any."""
+    """The limit that the round broke, or None."""
     sent = decision.setpoint
     if sent is None:
         return None
@@ -73,10 +73,10 @@ def breach(before: Gate, gate: Gate, decision: Decision, state: VehicleState, fr
         return "speed"
     if abs(sent.down_m_s) > LIMITS.climb_m_s + SLACK or abs(sent.yaw_rate_rad_s) > LIMITS.yaw_rate_rad_s + SLACK:
         return "climb or yaw rate"
-    if not (state.armed and (state.in_control or gate.mode.value == "engage")):
+    if not (state.armed and (state.in_control or gate.mode is Mode.ENGAGE)):
         return "sent without control"
     if before.horizontal is gate.horizontal or fresh:
-        return None  # just begun: there is no setpoint before this one
+        return None  # streaming has just begun: there is no previous setpoint
     dt = min(max(gate.t_s - before.t_s, 0.0), 0.1)
     if math.dist(before.horizontal.v, gate.horizontal.v) > LIMITS.accel_m_s2 * dt + SLACK:
         return "acceleration"
@@ -103,11 +103,11 @@ def main() -> int:
                 gate = Gate(**{**{n: getattr(gate, n) for n in Gate.__slots__}, "ordered": order, "ordered_t_s": None})
             before = gate
             gate, decision = decide(gate, desired, estimate, state, frame_t_s, LIMITS)
-            start_ramps = before.mode.value in ("observe", "ready", "ended", "engage")
+            start_ramps = before.mode in (Mode.OBSERVE, Mode.READY, Mode.ENDED, Mode.ENGAGE)
             if broken := breach(before, gate, decision, state, start_ramps):
                 print(f"round {done}: {broken}\n{before}\n{desired}\n{estimate}\n{state}\n{decision}", file=sys.stderr)
                 return 1
-            modes[decision.mode] = modes.get(decision.mode, 0) + 1
+            modes[decision.mode.value] = modes.get(decision.mode.value, 0) + 1
             sent += decision.setpoint is not None
             done += 1
     seconds = round(time.perf_counter() - began, 1)
