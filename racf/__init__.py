@@ -1,11 +1,20 @@
 """RACF: residue-aware correlation filters with GrabCut scale refinement (Li et al. 2021), as a library.
 
-Names are loaded on first use, so that `import racf` stays quick.
+    import racf
+
+    racf.one_core()
+    tracker = racf.Racf("racf,robust")
+    track = tracker.init(image, racf.Box(x, y, w, h))
+    track = tracker.update(next_image)
+
+`help(racf.Racf)` explains the tracker, `help(racf.Params)` its settings, `help(racf.evaluate.evaluate)` the evaluation
+on benchmarks.  Names are loaded on first use, so that `import racf` stays quick.
 """
 
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from racf import evaluate as evaluate
     from racf.box import Box as Box
     from racf.params import Params as Params
     from racf.params import preset as preset
@@ -16,7 +25,7 @@ if TYPE_CHECKING:
     from racf.tracker import Racf as Racf
     from racf.tracker import warm_up as warm_up
 
-__all__ = ["Box", "Params", "Racf", "Refined", "Refiner", "Track", "one_core", "preset", "warm_up"]
+__all__ = ["Box", "Params", "Racf", "Refined", "Refiner", "Track", "evaluate", "one_core", "preset", "warm_up"]
 
 _HOME = {
     "Box": "racf.box",
@@ -32,8 +41,14 @@ _HOME = {
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOME:
+    if name not in __all__:
         raise AttributeError(f"module 'racf' has no attribute {name!r}")
     import importlib  # noqa: PLC0415 - only when a name is asked for
 
+    if name not in _HOME:
+        return importlib.import_module(f"racf.{name}")
     return getattr(importlib.import_module(_HOME[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

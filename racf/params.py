@@ -2,7 +2,7 @@
 
 [Paper] is Li et al., "Learning Residue-Aware Correlation Filters and Refining Scale Estimates with the GrabCut for
 Real-Time UAV Tracking" (2021); [ARCF] the published parameters of ARCF-HC, whose features and scale filter the paper
-says it uses; [measured] points to the tables in docs/racf.md.
+says it uses; [measured] points to the tables in docs/notebook.md.
 """
 
 import math
@@ -11,25 +11,30 @@ from typing import Any
 
 from typing_extensions import Self
 
-_SHARES = (
+_FRACTIONS = (
     "learning_rate", "scale_learning_rate", "refine_min_iou", "refine_blend", "strict_iou",
     "confidence_rate", "confidence_rate_doubtful", "velocity_rate", "velocity_decay",
 )  # fmt: skip
+ROBUST = ("gate_learning", "strict_refine", "predict_motion", "coast", "redetect")
+"""The switches that the word `robust` stands for."""
 _WEIGHTS = ("residue", "spatial", "bowl", "temporal", "ridge", "aberrance")
 
 
 @dataclass(frozen=True, slots=True)
 class Params:
-    """All numbers and switches of a tracker.  Lengths are pixels of the fixed-size sample unless a unit says else."""
+    """All numbers and switches of a tracker.  Lengths are pixels of the fixed-size sample unless a unit says otherwise.
+
+    `Params(...).robust()` switches on what a follower needs; as text that is `racf,robust` (see `preset`).
+    """
 
     # Sample and features [ARCF]
     cell_px: int = 4
     search_area: float = 5.0  # side of the square sample over sqrt(target area)
-    sample_min_px: int = 150  # the sample is resampled into this range of sides ...
-    sample_max_px: int = 200
+    sample_min_px: int = 150  # smallest side that the sample is resampled to
+    sample_max_px: int = 200  # largest side that the sample is resampled to
     label_sigma: float = 1 / 24  # of the Gaussian label, over sqrt(target area) in cells: not given [measured]
     learning_rate: float = 0.0315  # alpha, Eq. 14: not given [measured]
-    colour_names: bool = True  # on colour pictures; grey ones have none
+    colour_names: bool = True  # colour-name channels of colour images; grey images never have them
 
     # Filter: the terms of Eq. 3 and their solver
     residue: float = 1.0  # eta [Paper]
@@ -40,10 +45,10 @@ class Params:
     ridge: float = 0.55  # lambda [Paper]
     aberrance: float = 0.0  # gamma, Eq. 2: ARCF's term
     admm_iterations: int = 2  # [Paper]
-    warm_start: bool = True  # from the last frame's filter, not from zero: not given [measured]
-    penalty: float = 1.0  # mu of the first iteration [ARCF] ...
-    penalty_growth: float = 10.0  # ... times this each iteration (beta) ...
-    penalty_max: float = 10_000.0  # ... up to this (mu_max)
+    warm_start: bool = True  # iterations start from the last frame's filter, not from zero: not given [measured]
+    penalty: float = 1.0  # mu of the first iteration [ARCF]
+    penalty_growth: float = 10.0  # beta: factor on mu from one iteration to the next [ARCF]
+    penalty_max: float = 10_000.0  # mu_max: mu grows no further [ARCF]
     newton_iterations: int = 5  # on the interpolated response [ARCF]
 
     # Scale filter [ARCF, fDSST]
@@ -52,7 +57,7 @@ class Params:
     scale_sigma: float = 0.5  # of the scale label, over sqrt(scales)
     scale_learning_rate: float = 0.025
     scale_ridge: float = 1e-4
-    scale_model_area_px: int = 512  # at most
+    scale_model_area_px: int = 512  # largest area of the target that the scale filter describes
 
     # GrabCut refinement
     refine: bool = False
@@ -60,40 +65,40 @@ class Params:
     refine_margin_px: float = 12.0  # Delta s, in pixels of the frame [Paper]
     refine_min_iou: float = 0.7  # sigma: the paper prints 0.5 [measured]
     refine_iterations: int = 3
-    refine_blend: float = 0.5  # share of the segment's box in the answer [measured]
+    refine_blend: float = 0.5  # weight of the segment's box in the refined box [measured]
     refine_renew: int = 10  # frames for which GrabCut's colour models serve [measured]
-    refine_pause: int = 7  # frames skipped, at most, after rejected segments [measured]
+    refine_pause: int = 7  # most frames skipped after rejected segments [measured]
     refine_min_target_px: float = 20.0  # smaller targets are too few pixels to segment [measured]
 
-    # What the follower needs and the paper lacks
-    robust: bool = False  # all of the following; each can be switched off
-    gate_learning: bool = True  # learn, scale and refine only in frames whose response is clear
-    learn_above: float = 0.6  # ... that is: confidence (PSR and peak over their running means) of at least this
-    lost_below: float = 0.5  # lost below this confidence ...
-    regain_above: float = 0.7  # ... until one of this is met
-    confidence_rate: float = 0.01  # of the running means: a memory of a hundred clear frames, for at 0.1 they follow
-    # a slow occlusion (PSR 14 to 5 within 0.7 s) down and call the wall the target [measured, sim wall] ...
-    confidence_rate_doubtful: float = 0.002  # ... and of five hundred others
-    settle_frames: int = 5  # frames after the start in which nothing is usual yet, and every response is believed
-    strict_refine: bool = True  # a segment must agree with the scale filter more closely ...
-    strict_iou: float = 0.8  # ... than this [measured]
-    limit_scale: bool = False  # at most one scale step a frame: hurts fast approaches [measured]
-    predict_motion: bool = True  # look where the target's smoothed motion says
-    velocity_rate: float = 0.35  # of that motion's running mean [measured]
-    velocity_decay: float = 0.95  # per frame unseen
-    ego_motion: bool = False  # ... and where the camera's own motion says: cost accuracy [measured]
-    coast: bool = True  # a lost target's box follows the prediction, not the response
-    redetect: bool = True  # look further afield for a lost target
-    redetect_glance: float = 0.35  # a candidate off the middle, which the window dims, gets a closer look from here on
-    redetect_places: int = 4  # more places a frame, half a search region apart ...
-    redetect_reach: int = 3  # ... up to this many steps to each side ...
-    redetect_patience: int = 10  # ... and a step further with every so many frames lost
+    # What a follower needs and the paper lacks: five switches (`robust` means all five) and their numbers
+    gate_learning: bool = False  # learn, estimate scale and refine only in frames whose response is clear
+    strict_refine: bool = False  # a segment must overlap the tracker's box by more than strict_iou
+    predict_motion: bool = False  # search where the target's smoothed motion predicts it
+    coast: bool = False  # a lost target's box follows the prediction, not the response
+    redetect: bool = False  # search for a lost target further afield
+    learn_above: float = 0.6  # gate_learning: least confidence (PSR and peak over their running means) of a clear frame
+    lost_below: float = 0.5  # the target counts as lost below this confidence
+    regain_above: float = 0.7  # a lost target is found again at this confidence
+    # A memory of a hundred clear frames.  At 0.1 the means follow a slow occlusion (PSR 14 to 5 within 0.7 s) down and
+    # the wall is taken for the target [measured, sim wall].
+    confidence_rate: float = 0.01  # of the running means, in clear frames
+    confidence_rate_doubtful: float = 0.002  # of the running means, in other frames: a memory of five hundred
+    settle_frames: int = 5  # frames after the start in which every response is believed: no usual value is known yet
+    strict_iou: float = 0.8  # strict_refine: least overlap [measured]
+    velocity_rate: float = 0.35  # predict_motion: rate of the running mean of the motion [measured]
+    velocity_decay: float = 0.95  # predict_motion: factor on the motion in each frame without the target
+    redetect_glance: float = (
+        0.35  # redetect: an off-centre candidate, dimmed by the window, is looked at again from here
+    )
+    redetect_places: int = 4  # redetect: places searched in each frame, half a search region apart
+    redetect_reach: int = 3  # redetect: most steps to each side
+    redetect_patience: int = 10  # redetect: frames lost for each further step
 
     def __post_init__(self) -> None:
         for name, kind in self.field_types().items():
             if kind is float and not math.isfinite(getattr(self, name)):
                 raise ValueError(f"{name} is a finite number, not {getattr(self, name)}")
-        for name in _SHARES:
+        for name in _FRACTIONS:
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"{name} is between 0 and 1, not {getattr(self, name)}")
         for name in _WEIGHTS:
@@ -114,6 +119,10 @@ class Params:
         if self.scale_step <= 1:
             raise ValueError(f"scale_step is above 1, not {self.scale_step}")
 
+    def robust(self, on: bool = True) -> Self:
+        """A copy with the five switches of `ROBUST`, which a follower needs, all on (or all off)."""
+        return replace(self, **dict.fromkeys(ROBUST, on))
+
     @classmethod
     def field_types(cls) -> dict[str, type]:
         """Name and type (bool, int or float) of every parameter, for a command line's `--set name=value`."""
@@ -121,13 +130,15 @@ class Params:
 
     def with_settings(self, settings: dict[str, str]) -> Self:
         """A copy with fields set from text; raises ValueError naming the field, the rule and the value."""
-        types = self.field_types()
-        values: dict[str, Any] = {}
+        types, base, values = self.field_types(), self, dict[str, Any]()
         for name, text in settings.items():
-            if name not in types:
-                raise ValueError(f"the tracker has no setting {name!r}; it has {', '.join(sorted(types))}")
-            values[name] = _parse(name, text, types[name])
-        return replace(self, **values)
+            if name == "robust":  # stands for its switches; one that is named beside it overrides
+                base = self.robust(bool(_parse(name, text, bool)))
+            elif name not in types:
+                raise ValueError(f"the tracker has no setting {name!r}; it has {', '.join(sorted([*types, 'robust']))}")
+            else:
+                values[name] = _parse(name, text, types[name])
+        return replace(base, **values)
 
 
 def _parse(name: str, text: str, kind: type) -> bool | int | float:
@@ -156,8 +167,19 @@ PRESETS = {
 """The paper's three variants (Table 1) and its two baselines."""
 
 
-def preset(name: str) -> Params:
-    """The parameters known on the command line as `name`; raises ValueError listing the names."""
+def preset(text: str) -> Params:
+    """The parameters that `text` names, a preset and its settings: `racf`, `racf,robust`, `bacf,admm_iterations=3`.
+
+    A setting without a value is true.  Raises ValueError that lists the presets, or names the setting, rule and value.
+    """
+    name, settings = split_settings(text)
     if name not in PRESETS:
         raise ValueError(f"there is no tracker {name!r}; there are {', '.join(PRESETS)}")
-    return PRESETS[name]
+    return PRESETS[name].with_settings(dict(settings))
+
+
+def split_settings(text: str) -> tuple[str, tuple[tuple[str, str], ...]]:
+    """The name and the (key, value) settings of `name[,key=value...]`; a key alone is true."""
+    name, *settings = (part.strip() for part in text.split(","))
+    pairs = ((key.strip(), value.strip() or "true") for key, _, value in (part.partition("=") for part in settings))
+    return name, tuple(pairs)

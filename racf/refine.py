@@ -49,8 +49,7 @@ class Refiner:
 
     def __init__(self, params: Params) -> None:
         self.params = params
-        strict = params.robust and params.strict_refine
-        self._min_iou = params.strict_iou if strict else params.refine_min_iou
+        self._min_iou = params.strict_iou if params.strict_refine else params.refine_min_iou
         self._models: tuple[Float64, Float64] | None = None
         self._age = self._rejected = self._waiting = 0
 

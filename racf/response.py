@@ -1,7 +1,6 @@
-"""The response map: where its peak is, and how far it can be believed.  `[row, col]` in, `(x, y)` shifts out."""
+"""The response map: where its peak is, and how sharp it is.  `[row, col]` in, `(x, y)` shifts out."""
 
 import math
-from dataclasses import dataclass
 
 import numba
 import numpy as np
@@ -9,17 +8,6 @@ from numpy.typing import NDArray
 
 Float32 = NDArray[np.float32]
 Complex64 = NDArray[np.complex64]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Peak:
-    """Shift of the response's maximum from its middle, in cells, and how sharp it is."""
-
-    dx: float
-    dy: float
-    value: float
-    psr: float
-    apce: float
 
 
 @numba.njit(cache=True, fastmath=True)

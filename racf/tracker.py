@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from racf import kernels
 from racf.box import Box
 from racf.confidence import Confidence, Verdict
-from racf.motion import EgoMotion, Velocity
-from racf.params import Params
+from racf.motion import Velocity
+from racf.params import Params, preset
 from racf.redetect import Redetection
 from racf.refine import Refinement, Refiner
 from racf.scale import ScaleFilter
@@ -24,22 +24,22 @@ MIN_SIDE_PX = 2.0  # a smaller box holds no target
 
 
 class Racf:
-    """RACF and its kin (see `racf.params`), shaped like OpenCV's trackers.
+    """The RACF tracker, its variants and baselines, shaped like OpenCV's trackers.
 
         racf.one_core()
-        tracker = Racf()
-        track = tracker.init(image, box)
-        track = tracker.update(next_image)
+        tracker = racf.Racf("racf,robust")  # a preset and its settings, or a racf.Params
+        track = tracker.init(image, racf.Box(x, y, w, h))
+        track = tracker.update(next_image)  # a racf.Track: box, confidence, found
 
-    A program calls `racf.one_core()` first, because BLAS's own threads spin: a 1280x720 picture takes eight to nine
-    times as long without it (104 to 125 ms instead of 13.5, on a shared machine of two cores).
+    A program calls `racf.one_core()` first, because BLAS's threads spin while they wait: a 1280x720 image takes eight
+    to nine times as long without it (104 to 125 ms instead of 13.5, on a shared machine of two cores).
 
-    Pictures are uint8, (rows, columns, 3) in BGR or (rows, columns) in grey, all of one size.  The refinement seeds
-    OpenCV's random generator anew as a side effect (see `racf.Refiner`).
+    Images are uint8, (rows, columns, 3) in BGR or (rows, columns) in grey, all of one size.  As a side effect the
+    refinement seeds OpenCV's random generator (see `racf.Refiner`).  An unknown preset or setting is a ValueError.
     """
 
-    def __init__(self, params: Params | None = None) -> None:
-        self.params = params or Params(refine=True)
+    def __init__(self, params: Params | str = "racf") -> None:
+        self.params = _params(params)
         self._frame_shape: tuple[int, ...] | None = None
 
     def init(self, image: UInt8, box: Box) -> Track:
@@ -54,15 +54,12 @@ class Racf:
         params = self.params
         self._frame_shape = image.shape
         self._box = box
-        self._filter = TranslationFilter(params, box, colour=image.ndim == 3)
+        self._filter = TranslationFilter(params, box, colour=image.ndim == 3 and params.colour_names)
         self._scale = ScaleFilter(params, box.w, box.h)
         self._refiner = Refiner(params)
         self._confidence = Confidence(params)
         self._velocity = Velocity(params.velocity_rate, params.velocity_decay)
         self._redetection = Redetection(params)
-        self._ego = EgoMotion() if params.robust and params.ego_motion else None
-        if self._ego is not None:
-            self._ego.shift(image)
         self._filter.learn(image, box)
         self._scale.learn(image, box)
         return Track(box, self._filter.region(box), psr=0.0, apce=0.0, confidence=1.0)
@@ -76,24 +73,23 @@ class Racf:
         if prior is not None:
             _check_box(prior, "prior")
         params, clock, before = self.params, _Stopwatch(), self._box
-        ego = (0.0, 0.0) if self._ego is None else self._ego.shift(image)
-        expected = self._expected(prior, ego)
+        expected = self._expected(prior)
         clock.lap("predict")
         match = self._filter.locate(image, expected)
         clock.lap("localise")
         verdict = self._confidence.judge(match.psr, match.value)
-        if params.robust and params.redetect and verdict is Verdict.LOST:
+        if params.redetect and verdict is Verdict.LOST:
             match, verdict = self._redetection.search(image, expected, match, self._filter, self._confidence)
             clock.lap("redetect")
             if verdict is not Verdict.LOST:
                 self._velocity.forget()  # the way here was a jump, not a motion
                 before = expected = match.box
-        if params.robust and params.coast and verdict is Verdict.LOST:
+        if params.coast and verdict is Verdict.LOST:
             self._box = self._kept_inside(expected)
             self._velocity.unseen()
             return self._track(expected, match, None, verdict, clock)
         self._box = self._kept_inside(match.box)
-        trusted = verdict is Verdict.CLEAR or not (params.robust and params.gate_learning)
+        trusted = verdict is Verdict.CLEAR or not params.gate_learning
         if trusted:
             self._estimate_scale(image)
         clock.lap("scale")
@@ -104,7 +100,7 @@ class Racf:
             clock.lap("learn filter")
             self._scale.learn(image, self._box)
             clock.lap("learn scale")
-        self._velocity.seen(before, self._box, ego)
+        self._velocity.seen(before, self._box)
         return self._track(expected, match, refinement, verdict, clock)
 
     def _track(
@@ -132,16 +128,15 @@ class Racf:
             raise ValueError(f"pictures must keep the first one's shape {self._frame_shape}, not {image.shape}")
         return image
 
-    def _expected(self, prior: Box | None, ego: tuple[float, float]) -> Box:
+    def _expected(self, prior: Box | None) -> Box:
         """The last box where it should be by now: at the caller's prior, or moved as camera and target moved."""
         if prior is not None:
             # While the target is seen, the scale filter knows its size better than any caller.
             size = prior if self._confidence.lost_frames else self._box
             return Box.around(prior.centre_x, prior.centre_y, size.w, size.h)
-        if not self.params.robust:
+        if not self.params.predict_motion:
             return self._box
-        moved = self._box.moved(*ego)
-        return moved.moved(self._velocity.dx, self._velocity.dy) if self.params.predict_motion else moved
+        return self._box.moved(self._velocity.dx, self._velocity.dy)
 
     def _kept_inside(self, box: Box) -> Box:
         """The box with its centre kept in the picture and its sides between 2 px and the picture's."""
@@ -153,8 +148,6 @@ class Racf:
     def _estimate_scale(self, image: UInt8) -> None:
         params = self.params
         steps = self._scale.estimate(image, self._box)
-        if params.robust and params.limit_scale:
-            steps = min(max(steps, -1), 1)
         if steps:
             self._box = self._kept_inside(self._box.scaled(params.scale_step**steps))
 
@@ -198,6 +191,14 @@ def _picture(image: UInt8) -> UInt8:
     return np.ascontiguousarray(image)
 
 
+def _params(given: object) -> Params:
+    if isinstance(given, Params):
+        return given
+    if isinstance(given, str):
+        return preset(given)
+    raise ValueError(f"a tracker takes a racf.Params or a text such as 'racf,robust', not {given!r}")
+
+
 def _check_box(box: object, what: str) -> None:
     if not isinstance(box, Box):
         raise ValueError(f"a {what} is a racf.Box(x, y, w, h), not {box!r}")
@@ -208,7 +209,7 @@ def warm_up() -> float:
     start = time.perf_counter()
     for shape in ((48, 64, 3), (48, 64)):
         image = np.random.default_rng(0).integers(0, 256, shape, dtype=np.uint8)
-        tracker = Racf(Params(refine=True, robust=True))
+        tracker = Racf(Params(refine=True).robust())
         tracker.init(image, Box(16, 12, 24, 24))
         tracker.update(image)
     return time.perf_counter() - start

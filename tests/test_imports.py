@@ -90,6 +90,8 @@ def test_the_simulator_reaches_only_seams_messages_geometry_and_boxes(source):
 
 def test_every_public_name_of_the_tracker_is_there():
     assert "one_core" in racf.__all__
-    assert all(callable(getattr(racf, name)) for name in racf.__all__)
+    assert all(callable(getattr(racf, name)) for name in racf.__all__ if name != "evaluate")
+    assert set(racf.__all__) <= set(dir(racf))
+    assert racf.evaluate.__name__ == "racf.evaluate"
     with pytest.raises(AttributeError, match="has no attribute 'two_cores'"):
         _ = racf.two_cores

@@ -47,7 +47,7 @@ class Tracker(Protocol):
         ...
 
 
-class TrackerSpec(Protocol):
+class TrackerBuilder(Protocol):
     """What to run: travels to the processes that run it, so it holds no tracker."""
 
     @property
@@ -68,7 +68,7 @@ class TrackerSpec(Protocol):
 class Task:
     """One tracker on one sequence.  `start` is 0 from the annotated first box, 1, 2, ... from jittered ones."""
 
-    spec: TrackerSpec
+    spec: TrackerBuilder
     benchmark: str
     sequence: str
     frames: tuple[Path, ...]
@@ -91,7 +91,7 @@ class SequenceRun:
     stage_ms: dict[str, float]  # median over the frames, by stage
 
 
-def tasks(spec: TrackerSpec, sequence: Sequence, jitter: int) -> list[Task]:
+def tasks(spec: TrackerBuilder, sequence: Sequence, jitter: int) -> list[Task]:
     """The nominal task and `jitter` ones from jittered first boxes; raises where the sequence cannot be run."""
     sequence.need_frames()
     box = sequence.first_box()
@@ -132,7 +132,7 @@ def run_task(task: Task) -> SequenceRun:
 
 
 @cache
-def warm_up(spec: TrackerSpec) -> None:
+def warm_up(spec: TrackerBuilder) -> None:
     """Compile or load what the tracker compiles, once a process, so that no frame's time holds it."""
     noise = np.random.default_rng(0).integers(0, 256, (120, 160, 3), dtype=np.uint8)
     tracker = spec.build()

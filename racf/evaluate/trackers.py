@@ -22,7 +22,7 @@ from typing_extensions import Self
 import racf
 from racf.box import Box
 from racf.evaluate.runner import Tracker
-from racf.params import PRESETS, Params, preset
+from racf.params import PRESETS, Params, preset, split_settings
 from racf.refine import Refined
 from racf.track import Track
 
@@ -41,8 +41,7 @@ class TrackerSpec:
     @classmethod
     def parse(cls, text: str) -> Self:
         """Read `name[,key=value...]`."""
-        name, *settings = (part.strip() for part in text.split(","))
-        return cls(text, name).with_settings(settings)
+        return cls(text, *split_settings(text))
 
     def check(self) -> None:
         """Raise ValueError for a name or a setting that is not known."""
@@ -52,8 +51,7 @@ class TrackerSpec:
 
     def with_settings(self, settings: list[str]) -> Self:
         """The same with more settings, each `key=value`, or `key` alone for true."""
-        pairs = [(key.strip(), value.strip() or "true") for key, _, value in (s.partition("=") for s in settings)]
-        return replace(self, settings=(*self.settings, *pairs))
+        return replace(self, settings=(*self.settings, *split_settings(",".join([self.name, *settings]))[1]))
 
     def build(self) -> Tracker:
         """A fresh tracker."""

@@ -8,14 +8,13 @@ import pytest
 
 from racf import Box, Racf, preset
 from racf.confidence import Confidence, Verdict
-from racf.motion import EgoMotion
 
 ROWS, COLS, SIDE = 240, 400, 36
 GROUND = cv2.GaussianBlur(np.random.default_rng(7).integers(0, 256, (ROWS, COLS, 3), dtype=np.uint8), (0, 0), 4)
 GROUND = cv2.normalize(GROUND, None, 60, 190, cv2.NORM_MINMAX)
 TARGET = cv2.resize(np.random.default_rng(8).integers(0, 256, (5, 5, 3), dtype=np.uint8), (SIDE, SIDE), interpolation=0)
 WALL = cv2.GaussianBlur(np.random.default_rng(9).integers(0, 256, (ROWS, 90, 3), dtype=np.uint8), (0, 0), 1)
-ROBUST = dataclasses.replace(preset("racf"), robust=True)
+ROBUST = preset("racf,robust")
 
 
 def picture(x: int, y: int, wall_at: int | None = None) -> np.ndarray:
@@ -111,24 +110,3 @@ def test_a_prior_moves_the_search(params):
     track = tracker.update(picture(260, 100), prior=box(250, 100))
     assert track.search.centre_x == pytest.approx(250 + SIDE / 2)
     assert track.box.iou(box(260, 100)) > 0.7
-
-
-@pytest.mark.parametrize("shift", [(6, 0), (-4, 9)])
-def test_the_cameras_motion_is_measured(shift):
-    rng = np.random.default_rng(3)
-    wide = cv2.GaussianBlur(rng.integers(0, 256, (500, 800, 3), dtype=np.uint8), (0, 0), 12)
-    wide = cv2.normalize(wide, None, 0, 255, cv2.NORM_MINMAX)
-    ego = EgoMotion()
-    ego.shift(wide[50:450, 50:690])
-    dx, dy = ego.shift(np.ascontiguousarray(wide[50 - shift[1] : 450 - shift[1], 50 - shift[0] : 690 - shift[0]]))
-    assert (dx, dy) == pytest.approx(shift, abs=1.0)
-
-
-def test_scale_changes_by_one_step_a_frame_at_most():
-    plain = dataclasses.replace(ROBUST, refine=False, limit_scale=True)
-    tracker = settled(plain)
-    before = tracker.update(picture(67, 100)).box.w
-    grown = cv2.resize(TARGET, (54, 54))
-    image = GROUND.copy()
-    image[91:145, 58:112] = grown
-    assert tracker.update(image).box.w <= before * plain.scale_step * 1.02

@@ -184,7 +184,7 @@ def test_update_before_init_is_refused():
 
 def test_settings_are_parsed_by_their_type_and_refused_by_name():
     params = preset("racf").with_settings({"residue": "0.5", "admm_iterations": "3", "robust": ""})
-    assert params == dataclasses.replace(preset("racf"), residue=0.5, admm_iterations=3, robust=True)
+    assert params == dataclasses.replace(preset("racf"), residue=0.5, admm_iterations=3).robust()
     with pytest.raises(ValueError, match="no setting 'eta'"):
         params.with_settings({"eta": "1"})
     with pytest.raises(ValueError, match="admm_iterations is a number"):

@@ -1,0 +1,100 @@
+"""Settings of the tracker: each one changes something, and `robust` is a word for its five switches."""
+
+import dataclasses
+import hashlib
+from functools import cache
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from racf import Box, Params, Racf, preset
+from racf.params import PRESETS, ROBUST
+
+ROWS, COLS, SIDE, FRAMES = 200, 320, 34, 64
+START = Box(40, 84, 30, 34)  # a little wrong, so that the refinement has something to correct
+
+
+@cache
+def clip(ground_px: int = 3) -> list[np.ndarray]:
+    """A target that moves, grows, passes behind a wall and comes out elsewhere; (200, 320, 3) each."""
+    rng = np.random.default_rng(7)
+    ground = cv2.GaussianBlur(rng.integers(0, 256, (ROWS, COLS, 3), dtype=np.uint8), (0, 0), ground_px)
+    ground = cv2.normalize(ground, None, 60, 190, cv2.NORM_MINMAX)
+    pattern = cv2.resize(rng.integers(0, 256, (5, 5, 3), dtype=np.uint8), (SIDE, SIDE), interpolation=cv2.INTER_NEAREST)
+    wall = cv2.GaussianBlur(rng.integers(0, 256, (ROWS, 70, 3), dtype=np.uint8), (0, 0), 1)
+    images = []
+    for k in range(FRAMES):
+        image, side = ground.copy(), round(SIDE * 1.006**k)
+        x, y = (40 + 3 * k + k * k // 100, 82 + k // 3) if k < 40 else (260 - (k - 40), 20)
+        image[y : y + side, x : x + side] = cv2.resize(pattern, (side, side))[:, : max(COLS - x, 0)]
+        if 18 <= k < 46:
+            image[:, 110 : 110 + 70] = wall
+        images.append(np.clip(image + rng.normal(0, 4, image.shape), 0, 255).astype(np.uint8))
+    return images
+
+
+@cache
+def outcome(params: Params) -> str:
+    """Digest of all that a run of the clip gives out, but for times."""
+    tracker = Racf(params)
+    tracks = [tracker.init(clip()[0], START), *(tracker.update(image) for image in clip()[1:])]
+    given = [
+        (t.box, t.search, t.psr, t.confidence, t.found, t.refined, None if t.mask is None else t.mask.tobytes())
+        for t in tracks
+    ]
+    return hashlib.sha256(repr(given).encode()).hexdigest()
+
+
+ALL = dataclasses.replace(preset("racf,robust"), aberrance=0.0)
+OTHER: dict[str, tuple[Any, dict[str, Any]]] = {
+    "cell_px": (5, {}), "search_area": (4.0, {}), "sample_min_px": (190, {}),
+    "sample_max_px": (160, {"search_area": 7.0}),
+    "label_sigma": (1 / 16, {}), "learning_rate": (0.02, {}), "colour_names": (False, {}),
+    "residue": (0.2, {}), "residue_to_model": (False, {}), "spatial": (0.1, {}), "bowl": (3.0, {}),
+    "temporal": (0.1, {}), "ridge": (0.1, {}), "aberrance": (0.7, {}), "admm_iterations": (3, {}),
+    "warm_start": (False, {}), "penalty": (3.0, {}), "penalty_growth": (5.0, {}), "penalty_max": (5.0, {}),
+    "newton_iterations": (0, {}), "scales": (17, {}), "scale_step": (1.02, {}), "scale_sigma": (1.0, {}),
+    "scale_learning_rate": (0.3, {}), "scale_ridge": (10.0, {}), "scale_model_area_px": (300, {}),
+    "refine": (False, {}), "refine_size_px": (40, {}), "refine_margin_px": (6.0, {}),
+    "refine_min_iou": (0.95, {"strict_refine": False}), "refine_iterations": (1, {}), "refine_blend": (0.2, {}),
+    "refine_renew": (1, {}), "refine_pause": (0, {}), "refine_min_target_px": (60.0, {}),
+    "gate_learning": (False, {"learn_above": 0.9}), "strict_refine": (False, {"strict_iou": 0.95}),
+    "predict_motion": (False, {}), "coast": (False, {}), "redetect": (False, {}), "learn_above": (0.95, {}),
+    "lost_below": (0.3, {}), "regain_above": (0.95, {}), "confidence_rate": (0.3, {}),
+    "confidence_rate_doubtful": (0.2, {}), "settle_frames": (30, {}), "strict_iou": (0.95, {}),
+    "velocity_rate": (0.1, {}), "velocity_decay": (0.5, {}), "redetect_glance": (0.9, {}),
+    "redetect_places": (0, {"redetect_patience": 1}),
+    "redetect_reach": (1, {"redetect_patience": 1, "search_area": 3.0}), "redetect_patience": (1, {}),
+}  # fmt: skip
+"""Another value of each setting, and what must be set beside it for that to matter."""
+
+
+def test_every_setting_has_another_value_here():
+    assert set(OTHER) == set(Params.field_types())
+
+
+@pytest.mark.parametrize("name", OTHER)
+def test_every_setting_changes_what_the_tracker_gives_out(name):
+    value, beside = OTHER[name]
+    base = dataclasses.replace(ALL, **beside)
+    assert outcome(dataclasses.replace(base, **{name: value})) != outcome(base)
+
+
+def test_robust_is_a_word_for_its_switches():
+    assert all(getattr(preset("racf,robust"), name) for name in ROBUST)
+    assert not any(getattr(params, name) for name in ROBUST for params in PRESETS.values())
+    assert preset("racf,robust") == preset("racf").robust() == preset("racf," + ",".join(ROBUST))
+    for text in ("racf,robust,coast=false", "racf,coast=false,robust"):
+        assert preset(text) == dataclasses.replace(preset("racf,robust"), coast=False)
+    assert preset("racf,robust=off") == preset("racf")
+
+
+def test_a_tracker_takes_a_text_or_params_and_refuses_the_rest_at_once():
+    assert Racf().params == Racf("racf").params == preset("racf")
+    assert Racf("bacf,admm_iterations=3").params == dataclasses.replace(preset("bacf"), admm_iterations=3)
+    with pytest.raises(ValueError, match=r"there is no tracker 'rafc'; there are racf, racf-"):
+        Racf("rafc")
+    with pytest.raises(ValueError, match=r"takes a racf\.Params or a text such as 'racf,robust', not 3"):
+        Racf(3)
