@@ -101,9 +101,17 @@ class Estimate:
     """Where the target is believed to be at `t_s`, seen from the vehicle.
 
     `azimuth_rad` is measured clockwise from the vehicle's heading, `depression_rad` downward from the horizon; both
-    are free of the vehicle's roll and pitch.  `range_m` is the distance along the ground with its standard deviation.
-    The velocity is the target's own over the ground, local NED.  `seen_t_s` is the time of the last picture in which
-    it was found.
+    are free of the vehicle's roll and pitch.  `range_m` is the distance along the ground with its standard deviation;
+    `range_near_m` is the shortest distance that the measurements leave possible (inf: not known).  The velocity is the
+    target's own over the ground, local NED, m/s, with its covariance (north², north·east, east²), m²/s².
+
+    `ground_below_m` is how far the ground under the target lies below the vehicle, with its standard deviation, and
+    `target_height_m` how far the target's top stands above that ground.  `size_m` is its sqrt(width x height) with the
+    standard deviation.  Each is inf where it is not known.
+
+    `seen_t_s` is the time of the last frame in which the target was found; `seen_range_m` and `seen_azimuth_rad` lead
+    from the vehicle's present position and heading to where the target stood then.  `contradiction` says in words
+    which measurements disagree beyond their uncertainty; it is empty while they agree.
     """
 
     t_s: float
@@ -114,6 +122,16 @@ class Estimate:
     north_m_s: float = 0.0
     east_m_s: float = 0.0
     seen_t_s: float = NEVER
+    range_near_m: float = math.inf
+    velocity_covariance: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    ground_below_m: float = math.inf
+    ground_std_m: float = math.inf
+    target_height_m: float = math.inf
+    size_m: float = math.inf
+    size_std_m: float = math.inf
+    seen_range_m: float = math.inf
+    seen_azimuth_rad: float = 0.0
+    contradiction: str = ""
 
 
 class Order(str, Enum):
