@@ -1,10 +1,13 @@
-"""One frozen tree of settings; each part owns its own branch and says why its numbers are what they are."""
+"""One frozen tree of settings; each part owns its own branch and says why its numbers are what they are.
+
+A derived setting is None until someone gives it; `resolve` fills in the rest once the camera is known.
+"""
 
 import math
-from collections.abc import Mapping, Set
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from enum import Enum
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, TypeVar
 
 from follow.control.servo import ServoConfig
 from follow.control.target import TargetConfig
@@ -12,35 +15,39 @@ from follow.geometry import Intrinsics
 from follow.recording.recorder import RecordConfig
 from follow.safety.limits import Limits
 
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
+Layer = Mapping[str, Mapping[str, float]]
+"""Settings by branch and name, as a scenario or a kind of target gives them."""
 
-BranchT = TypeVar("BranchT", bound="DataclassInstance")
+MOUNT_DEG = 30.0
+"""The mounting angle of a camera that nobody described: 10 m up, the image's middle is 17 m ahead."""
 
 
 @dataclass(frozen=True, slots=True)
 class CameraConfig:
-    """How the camera sees, how late, and how it is mounted.  Raises ValueError for what no camera has."""
+    """The camera's lens, mount and delay.  Raises ValueError for what no camera has."""
 
-    fov_deg: float = 70.0  # horizontal; common FPV and action cameras, undistorted, lie between 60 and 90
-    down_deg: float = 30.0  # optical axis below the nose: 10 m up, the middle of the picture is 17 m ahead
-    delay_s: float = 0.0  # a device's or stream's, from exposure to arrival; RTSP on one machine: 0.01 JPEG, 0.05 H.264
+    fov_deg: float = 70.0
+    """Horizontal field of view of the undistorted image, degrees; most action and FPV cameras have 60 to 90."""
+    down_deg: float | None = None
+    """Angle of the optical axis below the nose, degrees. Derived: that of the drawn scene, else 30."""
+    delay_s: float = 0.0
+    """Delay from exposure to arrival, s, of a device, stream or drawn scene; docs/service says how to measure it."""
 
     def __post_init__(self) -> None:
         if not 1 <= self.fov_deg <= 170:
             raise ValueError(f"a pinhole's horizontal field of view lies in 1..170 degrees, not {self.fov_deg:g}")
         if not 0 <= self.delay_s <= 1:
             raise ValueError(f"a camera's delay lies in 0..1 s, not {self.delay_s:g}")
-        if not -90 <= self.down_deg <= 90:
+        if self.down_deg is not None and not -90 <= self.down_deg <= 90:
             raise ValueError(f"a camera looks -90..90 degrees below the nose, not {self.down_deg:g}")
 
     @property
     def down_rad(self) -> float:
         """The mounting angle in radians."""
-        return math.radians(self.down_deg)
+        return math.radians(MOUNT_DEG if self.down_deg is None else self.down_deg)
 
     def intrinsics(self, width: int, height: int) -> Intrinsics:
-        """The pinhole for pictures of this size."""
+        """The pinhole for images of this size."""
         return Intrinsics.from_fov(width, height, math.radians(self.fov_deg))
 
 
@@ -55,30 +62,52 @@ class Config:
     record: RecordConfig = field(default_factory=RecordConfig)
 
 
-def beneath(branch: str, chosen: BranchT, suggested: Mapping[str, Any], named: Set[str]) -> BranchT:
-    """The settings of a branch with suggested values, except where a person chose: see `named` of `suited`.
+class TargetKind(str, Enum):
+    """What is followed: sets size, stand-off and speed limit together."""
 
-    Raises TypeError for a suggestion that is not a setting.
+    PERSON = "person"
+    CYCLIST = "cyclist"
+    CAR = "car"
+
+
+PRESETS: Mapping[TargetKind, Layer] = MappingProxyType(
+    {
+        TargetKind.PERSON: {
+            "target": {"size_m": 1.2},  # sqrt(0.8 m x 1.8 m)
+            "servo": {"standoff_m": 12.0},
+            "limits": {"speed_m_s": 8.0},
+        },
+        TargetKind.CYCLIST: {
+            "target": {"size_m": 1.4},  # sqrt(w h) between 1.0 m (from behind) and 1.8 m (from the side)
+            "servo": {"standoff_m": 12.0},
+            "limits": {"speed_m_s": 12.0},  # 8 m/s, and half of it to catch up: as the scenario `cyclist` is flown
+        },
+        TargetKind.CAR: {
+            "target": {"size_m": 2.5},  # sqrt(4.2 m x 1.5 m)
+            "servo": {"standoff_m": 22.0},
+            "limits": {"speed_m_s": 20.0},  # 15 m/s, and a third of it to catch up: as the scenario `car` is flown
+        },
+    }
+)
+"""Size, stand-off and speed limit by kind of target, below a settings file and the command line."""
+
+
+def resolve(config: Config, lens: Intrinsics, down_rad: float, delay_s: float) -> Config:
+    """The settings with each derived one filled in that nobody gave; the result has no None.
+
+    `lens`, `down_rad` (below the nose) and `delay_s` (from exposure to arrival) are those of the camera flown with.
     """
-    unknown = set(suggested) - {f.name for f in fields(chosen)}
-    if unknown:
-        raise TypeError(f"{type(chosen).__name__} has no setting {', '.join(sorted(unknown))}")
-    return replace(chosen, **{name: value for name, value in suggested.items() if f"{branch}.{name}" not in named})
-
-
-def suited(
-    chosen: Config,
-    named: Set[str],
-    lens: Intrinsics,
-    suggested: Mapping[str, Mapping[str, float]] = MappingProxyType({}),
-) -> Config:
-    """The settings to fly with: what a person chose, above what a scenario suggests, above what the lens does.
-
-    `named` are the settings of `chosen` that a person gave, as "branch.name"; `suggested` holds settings by branch.
-    Raises TypeError for a suggestion that is not a setting.
-    """
-    limits = {"half_view_rad": lens.horizontal_fov_rad / 2, **suggested.get("limits", {})}
-    branches = {**suggested, "limits": limits}
+    camera, limits = config.camera, config.limits
     return replace(
-        chosen, **{name: beneath(name, getattr(chosen, name), values, named) for name, values in branches.items()}
+        config,
+        camera=replace(camera, down_deg=_given(camera.down_deg, math.degrees(down_rad))),
+        limits=replace(
+            limits,
+            half_view_rad=_given(limits.half_view_rad, lens.horizontal_fov_rad / 2),
+            latency_s=_given(limits.latency_s, delay_s),
+        ),
     )
+
+
+def _given(value: float | None, derived: float) -> float:
+    return derived if value is None else value

@@ -62,11 +62,15 @@ class Scenario:
 
     @property
     def suggested(self) -> dict[str, dict[str, float]]:
-        """What this flight suggests of the application's settings, by branch."""
+        """What this flight suggests of the application's settings, by branch.
+
+        The camera's angle is missing: it depends on the autopilot (`camera_settings`).
+        """
         return {
+            "camera": {"fov_deg": math.degrees(self.fov_rad), "delay_s": self.latency_s},
             "target": {"size_m": self.size_m},
             "servo": {"standoff_m": self.standoff_m},
-            "limits": {"latency_s": self.latency_s, **self.limits},
+            "limits": dict(self.limits),
         }
 
     def start(self, world: World, seed: int) -> VehicleTruth:
@@ -84,34 +88,45 @@ class Scenario:
             yaw_rad=math.remainder(place.heading_rad + random.uniform(-0.08, 0.08), math.tau),
         )
 
-    def camera_settings(self, autopilot: Autopilot) -> CameraSettings:
-        """The camera of this flight."""
+    def camera_settings(
+        self,
+        autopilot: Autopilot,
+        fov_rad: float | None = None,
+        down_rad: float | None = None,
+        latency_s: float | None = None,
+    ) -> CameraSettings:
+        """The camera of this flight, with another field of view, angle below the nose or latency where given."""
         base = CameraSettings()
-        lens = base.intrinsics.from_fov(base.intrinsics.width, base.intrinsics.height, self.fov_rad)
+        fov_rad = self.fov_rad if fov_rad is None else fov_rad
+        lens = base.intrinsics.from_fov(base.intrinsics.width, base.intrinsics.height, fov_rad)
         return CameraSettings(
             replace(lens, distortion=self.distortion),
-            self.down_rad(autopilot),
+            self.down_rad(autopilot) if down_rad is None else down_rad,
             self.frames_per_s,
-            self.latency_s,
+            self.latency_s if latency_s is None else latency_s,
             self.drop_share,
             self.optics,
         )
 
 
-def build(scenario: Scenario, seed: int, autopilot: Autopilot) -> tuple[SceneCamera, SimLink, World]:
-    """The flight in lockstep: the camera's rounds drive the vehicle's time."""
+def build(
+    scenario: Scenario, seed: int, autopilot: Autopilot, mount: CameraSettings | None = None
+) -> tuple[SceneCamera, SimLink, World]:
+    """The flight in lockstep: the camera's rounds drive the vehicle's time.  `mount` is another camera than its own."""
     world = scenario.world(seed)
     vehicle = Vehicle(autopilot, scenario.start(world, seed), scenario.wind, seed)
     link = SimLink(vehicle)
-    camera = SceneCamera(world, link, scenario.camera_settings(autopilot), scenario.duration_s, seed)
+    camera = SceneCamera(world, link, mount or scenario.camera_settings(autopilot), scenario.duration_s, seed)
     return camera, link, world
 
 
-def build_live(scenario: Scenario, seed: int, autopilot: Autopilot, link: Link) -> tuple[SceneCamera, World]:
+def build_live(
+    scenario: Scenario, seed: int, autopilot: Autopilot, link: Link, mount: CameraSettings | None = None
+) -> tuple[SceneCamera, World]:
     """The same scene for a vehicle that flies in real time behind any link."""
     world = scenario.world(seed)
     flight = LiveFlight(link, scenario.start(world, seed))
-    return SceneCamera(world, flight, scenario.camera_settings(autopilot), seed=seed), world
+    return SceneCamera(world, flight, mount or scenario.camera_settings(autopilot), seed=seed), world
 
 
 WALK = Scenario("walker", "a walker on a winding path", Kind.WALKER, footpath)

@@ -3,17 +3,18 @@
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Union
 
 import tyro
 
-from follow.config import Config
+from follow.config import Config, TargetKind
 from follow.messages import Autopilot
 from racf.box import Box
 from racf.commandline import UsageError
 
 Settings = Annotated[Config, tyro.conf.arg(name="")]
-Named = Annotated[frozenset[str], tyro.conf.Suppress]  # the settings that a person gave: no scene overrides them
+
+ForWhom = Annotated[TargetKind | None, tyro.conf.arg(name="for")]
 
 TRACKER = "racf,robust"
 MARKERS = (tyro.conf.EnumChoicesFromValues,)  # px4, not PX4, is what is typed
@@ -47,10 +48,11 @@ class ReplayCommand:
     """Folder of flight.rrd, ticks.csv, settings.toml and summary.json."""
     json: bool = False
     """Print the summary as JSON on standard output."""
+    for_: ForWhom = None
+    """Size, stand-off and speed limit of this kind of target together. A settings file or an option overrides each."""
     settings: Path | None = None
     """TOML file of the settings below; what is given here stands above it (docs/service/settings.toml has them all)."""
     config: Settings = field(default_factory=Config)
-    named: Named = frozenset()
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,10 +78,11 @@ class SimCommand:
     With --all: of a folder for each flight, and of all.txt (out/sim)."""
     json: bool = False
     """Print the summary (with --all: of each flight) as JSON on standard output."""
+    for_: ForWhom = None
+    """Size, stand-off and speed limit of this kind of target together. A settings file or an option overrides each."""
     settings: Path | None = None
     """TOML file of the settings below; what is given here stands above it (docs/service/settings.toml has them all)."""
     config: Settings = field(default_factory=Config)
-    named: Named = frozenset()
 
     def __post_init__(self) -> None:
         if self.seed < 0:
@@ -124,10 +127,11 @@ class RunCommand:
     """Folder of flight.rrd, flight.tlog, ticks.csv, settings.toml and summary.json."""
     json: bool = False
     """Print the summary as JSON on standard output."""
+    for_: ForWhom = None
+    """Size, stand-off and speed limit of this kind of target together. A settings file or an option overrides each."""
     settings: Path | None = None
     """TOML file of the settings below; what is given here stands above it (docs/service/settings.toml has them all)."""
     config: Settings = field(default_factory=Config)
-    named: Named = frozenset()
 
     def __post_init__(self) -> None:
         require_system_id(self.system_id)
@@ -174,16 +178,18 @@ class InspectCommand:
 
 
 def commands(config: Config) -> Any:
-    """The commands as the parser takes them; a setting that the command line does not name is that of `config`."""
-    replay = ReplayCommand(tyro.MISSING, config=config)
-    run = RunCommand(tyro.MISSING, config=config)
-    return (
-        Annotated[ReplayCommand, tyro.conf.subcommand("replay", default=replay)]
-        | Annotated[SimCommand, tyro.conf.subcommand("sim", default=SimCommand(config=config))]
-        | Annotated[RunCommand, tyro.conf.subcommand("run", default=run)]
-        | Annotated[DoctorCommand, tyro.conf.subcommand("doctor")]
-        | Annotated[InspectCommand, tyro.conf.subcommand("inspect")]
-    )  # fmt: skip
+    """The commands as the parser takes them; a setting that the command line does not give is that of `config`."""
+    return union(ReplayCommand, SimCommand, RunCommand, config)
+
+
+def union(replay: Any, sim: Any, run: Any, config: Any) -> Any:
+    """The commands by name, with these classes for the three that fly."""
+    replay = Annotated[replay, tyro.conf.subcommand("replay", default=replay(tyro.MISSING, config=config))]
+    sim = Annotated[sim, tyro.conf.subcommand("sim", default=sim(config=config))]
+    run = Annotated[run, tyro.conf.subcommand("run", default=run(tyro.MISSING, config=config))]
+    doctor = Annotated[DoctorCommand, tyro.conf.subcommand("doctor")]
+    inspect = Annotated[InspectCommand, tyro.conf.subcommand("inspect")]
+    return Union[replay, sim, run, doctor, inspect]  # noqa: UP007 - made of values, not of types that `|` knows
 
 
 Command = commands(Config())

@@ -7,7 +7,7 @@ from follow.camera.video import ReplayCamera, is_live, open_replay
 from follow.camera.window import WindowCamera
 from follow.cli.commands import ReplayCommand, box_of
 from follow.cli.settings import as_toml
-from follow.config import Config, suited
+from follow.config import Config, resolve
 from follow.control.footage import FootageTarget
 from follow.control.servo import Servo
 from follow.control.target import Target
@@ -48,7 +48,7 @@ def replay(command: ReplayCommand) -> None:
         if ptz is not None:
             camera, lens = ptz, ptz.intrinsics
             box = box.moved(-ptz.window.x, -ptz.window.y)
-        config = suited(config, command.named, lens)
+        config = resolve(config, lens, config.camera.down_rad, 0.0)  # a file's frames do not come late
         recorder.settings(as_toml(config))
         target = FootageTarget(Target(lens, config.camera.down_rad, config.target), moves_view=command.ptz)
         servo = Servo(config.camera.down_rad, config.servo)

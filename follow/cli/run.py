@@ -9,8 +9,10 @@ from follow.camera import Camera
 from follow.camera.realtime import RealTime
 from follow.camera.video import LiveVideo, is_live, open_replay
 from follow.cli.commands import RunCommand, box_of
+from follow.cli.layers import SCENE
 from follow.cli.settings import as_toml
-from follow.config import Config, suited
+from follow.cli.sim import scene_camera
+from follow.config import CameraConfig, Config, resolve
 from follow.control.servo import Servo
 from follow.control.target import Target
 from follow.flight.live_flight import LogForwarder, Parts, fly, preflight, unwaived
@@ -20,7 +22,7 @@ from follow.link import Link
 from follow.link.connection import connect
 from follow.link.signing import Signing
 from follow.link.tlog import Tlog
-from follow.messages import Autopilot, Tick
+from follow.messages import Autopilot, Notify, Tick
 from follow.operator.authority import Operator
 from follow.operator.terminal import Terminal
 from follow.recording.recorder import Recorder, set_aside
@@ -31,7 +33,6 @@ from racf.commandline import UsageError
 from racf.tracker import warm_up
 from sim.scenarios import SCENARIOS, build_live
 
-SCENE = "scene:"
 VEHICLE_S = 30.0  # an autopilot boots in less
 LONG_S = 1800.0  # a scene's target has as long a way where no end is given: a battery's time
 
@@ -48,39 +49,38 @@ class OpenCamera:
     truth: Callable[[Tick], Box | None] = lambda _tick: None
 
 
-def eye(command: RunCommand, link: Link, report: Callable[[str], None]) -> OpenCamera:
+def open_camera(command: RunCommand, link: Link, report: Notify) -> OpenCamera:
     """The camera that the command names; a scene is drawn as seen from where the link says that the vehicle is."""
     if command.camera.startswith(SCENE):
-        return scene_eye(command, link)
+        return open_scene(command, link)
     mount = command.config.camera
     if is_live(command.camera):
-        camera = LiveVideo(command.camera, report, mount.delay_s)
-        suggested = {"limits": {"latency_s": mount.delay_s}}
+        camera, delay_s = LiveVideo(command.camera, report, mount.delay_s), mount.delay_s
     else:
-        camera, suggested = RealTime(open_replay(command.camera, None, report)), {}
+        camera, delay_s = RealTime(open_replay(command.camera, None, report)), 0.0
     lens = mount.intrinsics(*camera.size)
-    return OpenCamera(
-        camera,
-        lens,
-        mount.down_rad,
-        box_of(command.target or ""),
-        suited(command.config, command.named, lens, suggested),
-    )
+    config = resolve(command.config, lens, mount.down_rad, delay_s)
+    return OpenCamera(camera, lens, mount.down_rad, box_of(command.target or ""), config)
 
 
-def scene_eye(command: RunCommand, link: Link) -> OpenCamera:
-    """A drawn scene of as long a flight as is asked for, with its own target when no other is named."""
+def open_scene(command: RunCommand, link: Link, drawn: CameraConfig | None = None) -> OpenCamera:
+    """A drawn scene of as long a flight as is asked for, with its own target when no other is named.
+
+    `drawn` is the camera that is drawn where it is not the one that is believed: for tests of a wrong mount.
+    """
     scenario = SCENARIOS[command.camera.removeprefix(SCENE)]
     scenario = replace(scenario, duration_s=max(command.seconds or LONG_S, scenario.duration_s))
-    camera, _ = build_live(scenario, command.seed, link.state().autopilot or Autopilot.PX4, link)
+    autopilot = link.state().autopilot or Autopilot.PX4
+    believed = scene_camera(scenario, autopilot, command.config.camera)
+    mount = scene_camera(scenario, autopilot, drawn) if drawn else believed
+    camera, _ = build_live(scenario, command.seed, autopilot, link, mount)
     target = box_of(command.target) if command.target is not None else camera.first()[1]
 
     def true_box(tick: Tick) -> Box | None:
         return None if tick.frame is None else camera.truth(tick.frame.index).box
 
-    lens = camera.settings.intrinsics
-    config = suited(command.config, command.named, lens, scenario.suggested)
-    return OpenCamera(camera, lens, camera.settings.down_rad, target, config, true_box)
+    config = resolve(command.config, believed.intrinsics, believed.down_rad, believed.latency_s)
+    return OpenCamera(camera, believed.intrinsics, believed.down_rad, target, config, true_box)
 
 
 def check(command: RunCommand) -> None:
@@ -116,7 +116,7 @@ def fly_live(command: RunCommand) -> None:
             link.wait_for_vehicle(VEHICLE_S)
             findings = preflight(link, command.out, signs=signing is not None)
             red = unwaived(findings, command.waive, terminal.report)
-            seen = eye(command, link, terminal.report)
+            seen = open_camera(command, link, terminal.report)
             recorder.settings(as_toml(seen.config))
             heard = link.client.heard
             operator = Operator(terminal.report, command.follow, command.rc_channel, heard, red)

@@ -1,13 +1,13 @@
 """Settings in a file: the tree of `Config` as TOML, a table for each branch.
 
-What the file does not name keeps its default; what the command line names stands above the file.  Every way in which
-a file may be wrong ends in one line that names the file, the setting, the rule and the value.
+Layers of settings lie on each other: defaults, scenario, kind of target, file, command line.  An invalid file ends in
+one line that names the file, the setting, the rule and the value.
 """
 
 import json
 import reprlib
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import fields, is_dataclass, replace
 from enum import Enum
 from pathlib import Path
@@ -26,44 +26,36 @@ if TYPE_CHECKING:
 
 BranchT = TypeVar("BranchT", bound="DataclassInstance")
 
-OPTION = "--settings"
+Table = Mapping[str, object]
+"""Settings as a TOML file holds them: a table for each branch."""
 
 
-def settings_of(argv: Sequence[str]) -> Config:
-    """The settings that the command line's file holds, or the defaults when it names none.  Raises UsageError."""
-    path = _file(argv)
-    return Config() if path is None else read_settings(path)
+def layered(*layers: tuple[str, Table]) -> Config:
+    """The defaults with each layer's settings on top of those before it; a layer is its name and its table.
+
+    Raises UsageError, which names the layer, for a setting that does not exist or may not have that value.
+    """
+    config = Config()
+    for source, table in layers:
+        config = _branch(config, table, source, "")
+    return config
 
 
-def _file(argv: Sequence[str]) -> Path | None:
-    name: str | None = None
-    for word, following in zip(argv, [*argv, None][1:], strict=True):
-        if word == OPTION:
-            name = following  # None: the command line's own parser says what is missing
-        elif word.startswith(f"{OPTION}="):
-            name = word.partition("=")[2]
-    return None if name is None else Path(name)
-
-
-def named(argv: Sequence[str]) -> frozenset[str]:
-    """The settings that the command line gives, itself or by its file, as "branch.name".  Raises UsageError."""
-    typed = {word[2:].partition("=")[0].replace("-", "_") for word in argv if word.startswith("--")}
-    path = _file(argv)
-    held = {} if path is None else _table(path)
-    filed = {f"{branch}.{key}" for branch, values in held.items() if isinstance(values, dict) for key in values}
-    return frozenset(name for name in typed | filed if "." in name)
+def file_layer(path: Path) -> tuple[str, Table]:
+    """The settings in a file, as a layer.  Raises UsageError."""
+    return f"settings {str(path)!r}", _table(path)
 
 
 def read_settings(path: Path) -> Config:
-    """The settings in a file.  Raises UsageError."""
-    return _branch(Config(), _table(path), f"settings {str(path)!r}", "")
+    """The defaults with the settings in a file on top.  Raises UsageError."""
+    return layered(file_layer(path))
 
 
-def _table(path: Path) -> Mapping[str, object]:
+def _table(path: Path) -> Table:
     try:
         if path.exists() and not path.is_file():  # a folder, or a device that may never end
-            raise UsageError(f"settings {str(path)!r} must be a file, and this is none")
-        text = path.read_bytes().decode()
+            raise UsageError(f"settings {str(path)!r} is not a regular file")
+        text = path.read_bytes().decode("utf-8-sig")  # with or without the byte order mark that Windows' editors write
     except OSError as error:
         raise UsageError(f"settings {str(path)!r} cannot be read: {error.strerror}") from None
     except UnicodeDecodeError as error:
@@ -105,7 +97,7 @@ def _value(default: object, value: object, source: str, name: str) -> object:
         wanted, fits = "true or false", isinstance(value, bool)
     elif isinstance(default, int):
         wanted, fits = "a whole number", isinstance(value, int) and not isinstance(value, bool)
-    elif isinstance(default, float):
+    elif isinstance(default, float) or default is None:  # a derived setting is None until someone gives it
         wanted = "a number"
         if isinstance(value, int | float) and not isinstance(value, bool):
             try:
@@ -126,7 +118,7 @@ def _value(default: object, value: object, source: str, name: str) -> object:
 
 
 def as_toml(config: Config) -> str:
-    """The settings as a file that `read_settings` reads."""
+    """The settings as a file that `read_settings` reads; a derived setting that nobody gave is left out."""
     return "\n".join(_lines(config, ""))[1:] + "\n"
 
 
@@ -136,7 +128,8 @@ def _lines(branch: "DataclassInstance", name: str) -> Iterator[str]:
     if leaves:
         yield f"\n[{name}]"
     for key, value in leaves.items():
-        yield f"{key} = {_literal(value)}"
+        if value is not None:
+            yield f"{key} = {_literal(value)}"
     for key, value in values.items():
         if key not in leaves:
             yield from _lines(value, f"{name}.{key}" if name else key)

@@ -1,13 +1,14 @@
 """`follow sim`: the closed loop without a drone, one flight or all of them."""
 
+import math
 import sys
-from collections.abc import Sequence, Set
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from follow.cli.commands import SimCommand
 from follow.cli.settings import as_toml
-from follow.config import Config, suited
+from follow.config import CameraConfig, Config, resolve
 from follow.control.servo import Servo
 from follow.control.target import Target
 from follow.flight.session import acquire, conclude, fly, once
@@ -20,8 +21,9 @@ from follow.safety.gate import Safety
 from racf.box import Box
 from racf.commandline import UsageError
 from racf.parallel import each
+from sim.camera import CameraSettings
 from sim.plot import Strip, draw
-from sim.scenarios import SCENARIOS, build
+from sim.scenarios import SCENARIOS, Scenario, build
 from sim.score import ScoredTick, score
 
 OUT = Path("out/sim")
@@ -36,8 +38,8 @@ class FlightSpec:
     autopilot: Autopilot
     tracker: str
     config: Config
-    named: Set[str]  # of the settings, those that a person gave
     out: Path
+    drawn: CameraConfig | None = None  # what is drawn where it is not what is believed: for tests of a wrong mount
 
     @property
     def name(self) -> str:
@@ -48,9 +50,11 @@ class FlightSpec:
 def simulate(flight: FlightSpec, terminal: Terminal, *, bar: bool) -> tuple[Figures, bool]:
     """Fly in the simulator; the summary, and whether it was flown to its end."""
     scenario, config = SCENARIOS[flight.scenario], flight.config
-    camera, link, world = build(scenario, flight.seed, flight.autopilot)
-    lens, down_rad = camera.settings.intrinsics, camera.settings.down_rad
-    config = suited(config, flight.named, lens, scenario.suggested)
+    believed = scene_camera(scenario, flight.autopilot, config.camera)
+    drawn = scene_camera(scenario, flight.autopilot, flight.drawn or config.camera)
+    camera, link, world = build(scenario, flight.seed, flight.autopilot, drawn)
+    lens, down_rad = believed.intrinsics, believed.down_rad
+    config = resolve(config, lens, down_rad, believed.latency_s)
     target, servo = Target(lens, down_rad, config.target), Servo(down_rad, config.servo)
     safety = Safety(config.limits)
     about = f"# follow sim {flight.scenario}\n\n{scenario.about}; seed {flight.seed}, {flight.autopilot.value}"
@@ -74,11 +78,17 @@ def simulate(flight: FlightSpec, terminal: Terminal, *, bar: bool) -> tuple[Figu
             finished = fly(
                 terminal.progress(ticks, rounds, flight.name) if bar else ticks, recorder, terminal, true_box
             )
-        figures: Figures = asdict(score(rows, lens, servo.config.standoff_m, asdict(safety.limits)))
+        figures: Figures = asdict(score(rows, drawn.intrinsics, servo.config.standoff_m, asdict(safety.limits)))
         figures |= {"scenario": flight.scenario, "seed": flight.seed, "autopilot": flight.autopilot.value}
         figures = recorder.close({"tracker": flight.tracker, **rounded(figures)})
-    draw(flight.out / "flight.png", flight.name, rows, world, lens, servo.config.standoff_m, strip)
+    draw(flight.out / "flight.png", flight.name, rows, world, drawn.intrinsics, servo.config.standoff_m, strip)
     return figures, finished
+
+
+def scene_camera(scenario: Scenario, autopilot: Autopilot, camera: CameraConfig) -> CameraSettings:
+    """A drawn scene's camera as the settings describe it; the scenario's own mount unless they give another."""
+    down_rad = None if camera.down_deg is None else camera.down_rad
+    return scenario.camera_settings(autopilot, math.radians(camera.fov_deg), down_rad, camera.delay_s)
 
 
 def rounded(figures: Figures) -> Figures:
@@ -87,31 +97,30 @@ def rounded(figures: Figures) -> Figures:
     return {name: round(value, 5) if isinstance(value, float) else value for name, value in known.items()}
 
 
-def sim(command: SimCommand) -> None:
-    """`follow sim`."""
+def sim(command: SimCommand, settings_of: Callable[[str], Config]) -> None:
+    """`follow sim`; `settings_of` gives the settings to fly a scenario with."""
     terminal = Terminal()
     if command.list:
         sys.stdout.write("".join(f"{name:<20} {s.about}\n" for name, s in SCENARIOS.items()))
     elif command.scenario not in SCENARIOS:
         raise UsageError(f"scenario {command.scenario!r} is not known; known are {', '.join(SCENARIOS)}")
     elif command.all:
-        sim_all(command, tuple(SCENARIOS), terminal)
+        sim_all(command, {name: settings_of(name) for name in SCENARIOS}, terminal)
     else:
         autopilot = command.autopilot or Autopilot.PX4
         out = command.out or OUT / command.scenario
-        flight = FlightSpec(
-            command.scenario, command.seed, autopilot, command.tracker, command.config, command.named, out
-        )
+        flight = FlightSpec(command.scenario, command.seed, autopilot, command.tracker, command.config, out)
         figures, finished = simulate(flight, terminal, bar=True)
         conclude(figures, flight.out, terminal, as_json=command.json, finished=finished)
 
 
-def sim_all(command: SimCommand, scenarios: Sequence[str], terminal: Terminal) -> None:
-    """Every scenario with several seeds and both vehicles; without the pictures, which would fill the disk."""
-    config = replace(command.config, record=replace(command.config.record, pictures=False))
+def sim_all(command: SimCommand, configs: Mapping[str, Config], terminal: Terminal) -> None:
+    """Every scenario with several seeds and both vehicles; without the images, which would fill the disk."""
+    scenarios = tuple(configs)
+    configs = {name: replace(config, record=replace(config.record, pictures=False)) for name, config in configs.items()}
     autopilots = [command.autopilot] if command.autopilot else list(Autopilot)
     flights = [
-        FlightSpec(scenario, seed, autopilot, command.tracker, config, command.named, Path())
+        FlightSpec(scenario, seed, autopilot, command.tracker, configs[scenario], Path())
         for scenario in scenarios
         for autopilot in autopilots
         for seed in range(command.seed, command.seed + command.seeds)

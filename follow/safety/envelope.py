@@ -34,7 +34,7 @@ def in_view(forward: float, right: float, limits: Limits) -> tuple[float, float]
     The view is a cone about the nose; the part inside is the velocity's projection on the cone, so the result is
     continuous in the velocity's direction.
     """
-    half = limits.half_view_rad
+    half = limits.half_view_rad or 0.0
     angle = math.atan2(right, forward)
     if abs(angle) <= half:
         return forward, right

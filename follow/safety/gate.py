@@ -48,7 +48,7 @@ STILL_M_S = 0.05
 def stale(state: VehicleState, frame_t_s: float, limits: Limits) -> tuple[str, ...]:
     """The data that are too old, too far in the future or invalid, one line for each."""
     ages = (
-        ("frame", frame_t_s, limits.frame_age_s + limits.latency_s),
+        ("frame", frame_t_s, limits.frame_age_s + (limits.latency_s or 0.0)),
         ("attitude", state.attitude_t_s, limits.attitude_age_s),
         ("position", state.position_t_s, limits.position_age_s),
         ("heartbeat", state.heartbeat_t_s, limits.heartbeat_age_s),
@@ -68,7 +68,7 @@ def unseen(estimate: Estimate, t_s: float, limits: Limits) -> float:
     numbers = (estimate.azimuth_rad, estimate.depression_rad, estimate.range_m, estimate.range_std_m)
     if not all(abs(v) <= PLAUSIBLE for v in (*numbers, estimate.north_m_s, estimate.east_m_s)):
         return math.inf
-    age_s = t_s - estimate.seen_t_s - limits.latency_s
+    age_s = t_s - estimate.seen_t_s - (limits.latency_s or 0.0)
     return age_s if math.isfinite(age_s) else math.inf
 
 

@@ -10,7 +10,11 @@ MAY_BE_ZERO = ("latency_s", "out_of_view_m_s")
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """The gate's numbers.  Raises ValueError for a number that is not positive or an empty altitude band."""
+    """The gate's numbers.  Raises ValueError for a number that is not positive or an empty altitude band.
+
+    A derived number is None until someone gives it.  The gate then takes the strictest value: a camera that sees
+    nothing to either side of the nose, and frames that arrive without delay.
+    """
 
     speed_m_s: float = 8.0  # Maximum horizontal speed; that of a cyclist.
     coast_m_s: float = 4.0  # Maximum horizontal speed while the target is not seen; half of speed_m_s.
@@ -26,10 +30,10 @@ class Limits:
     fence_m: float = 300.0  # Maximum distance from where FOLLOW began: visual line of sight of a small drone.
     min_standoff_m: float = 4.0  # Minimum distance to the target's head; braking takes 1 m from a walk, 3 m from a run.
     range_sigmas: float = 2.0  # The target is assumed nearer than estimated by this many standard deviations.
-    half_view_rad: float = math.radians(35.0)  # Half of the camera's horizontal field of view.
+    half_view_rad: float | None = None  # How far the camera sees to either side. Derived: half of its field of view.
     out_of_view_m_s: float = 2.0  # Maximum horizontal speed out of the camera's view; people behind can evade a walk.
     frame_age_s: float = 0.2  # Maximum age of the newest frame: six frames at 30 frames/s.
-    latency_s: float = 0.0  # The camera's own known delay, added to frame_age_s.
+    latency_s: float | None = None  # The camera's own known delay, added to frame_age_s. Derived: camera.delay_s.
     attitude_age_s: float = 0.1  # Maximum age of the attitude; at the maximum yaw rate it is 9 degrees off by then.
     position_age_s: float = 0.5  # Maximum age of the position: 4 m at the maximum speed, which is the stand-off.
     heartbeat_age_s: float = 3.0  # Maximum age of the autopilot's heartbeat: three missed ones.
@@ -44,5 +48,5 @@ class Limits:
         require_numbers("limit", self, may_be_zero=MAY_BE_ZERO)
         if self.floor_m >= self.ceiling_m:
             raise ValueError(f"the floor {self.floor_m:g} m must lie below the ceiling {self.ceiling_m:g} m")
-        if self.half_view_rad >= math.pi / 2:
+        if self.half_view_rad is not None and self.half_view_rad >= math.pi / 2:
             raise ValueError(f"limit half_view_rad must be below a right angle, not {self.half_view_rad:g}")

@@ -10,7 +10,7 @@ from follow.safety.envelope import approach_speed, in_view, limit_closing_speed,
 from follow.safety.gate import Gate, Limits, Safety, decide
 from follow.safety.ramps import VelocityRamp, YawRateRamp
 
-LIMITS = Limits()
+LIMITS = Limits(half_view_rad=math.radians(35.0), latency_s=0.0)
 DT = 1 / 30
 any_float = st.floats(allow_nan=True, allow_infinity=True)
 desired_setpoints = st.builds(Setpoint, any_float, any_float, any_float, any_float)

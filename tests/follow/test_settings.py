@@ -1,21 +1,29 @@
 """Settings in a file: the same tree as the command line's, below it; whatever is wrong with a file is one line."""
 
+import csv
+import functools
+import math
 import re
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from follow.cli.commands import MARKERS, RunCommand, commands
+from follow.cli import run as cli_run
+from follow.cli.commands import RunCommand
+from follow.cli.layers import read
 from follow.cli.program import main
-from follow.cli.run import scene_eye
-from follow.cli.settings import as_toml, read_settings, settings_of, tomllib
-from follow.config import Config
+from follow.cli.run import open_camera, open_scene
+from follow.cli.settings import as_toml, read_settings, tomllib
+from follow.cli.sim import FlightSpec, simulate
+from follow.config import PRESETS, CameraConfig, Config, TargetKind, resolve
 from follow.control.pid import Gains
 from follow.control.servo import ServoConfig, ServoMode
 from follow.messages import Autopilot
+from follow.operator.terminal import Terminal
 from follow.safety.limits import Limits
-from racf.commandline import UsageError, parse
+from racf.commandline import UsageError
 from sim.dynamics import Vehicle, VehicleTruth
 from sim.link import SimLink
 from sim.scenarios import SCENARIOS
@@ -38,6 +46,10 @@ def names(branch: object, prefix: str = "") -> set[str]:
     return found
 
 
+def value_of(config: Config, name: str) -> object:
+    return functools.reduce(getattr, name.split("."), config)
+
+
 def keys(table: dict[str, object], prefix: str = "") -> set[str]:
     found = set[str]()
     for key, value in table.items():
@@ -45,9 +57,17 @@ def keys(table: dict[str, object], prefix: str = "") -> set[str]:
     return found
 
 
+DERIVED = {name for name in names(Config()) if value_of(Config(), name) is None}
+BELOW = {f"{branch}.{name}" for layer in PRESETS.values() for branch, held in layer.items() for name in held}
+
+
 def test_the_example_has_every_setting_at_its_default():
+    """Those that follow from something else are there as comments, so that a file installed whole does not pin them."""
+    text = EXAMPLE.read_text()
     assert read_settings(EXAMPLE) == Config()
-    assert keys(tomllib.loads(EXAMPLE.read_text())) == names(Config())
+    assert keys(tomllib.loads(text)) == names(Config()) - DERIVED - BELOW
+    whole = tomllib.loads(re.sub(r"(?m)^#(\w+ = )", r"\1", text))
+    assert keys(whole) == names(Config())
 
 
 def test_the_example_explains_every_setting_but_a_gain():
@@ -74,14 +94,79 @@ def test_what_is_written_is_read_again(tmp_path):
         assert read_settings(file_of(tmp_path, as_toml(config))) == config
 
 
-def test_the_command_line_stands_above_the_file(tmp_path):
+def run_command(*words: str) -> RunCommand:
+    command = read(["run", "--link", "udpin:127.0.0.1:1", *words])
+    assert isinstance(command, RunCommand)
+    return command
+
+
+def test_the_command_line_overrides_the_file(tmp_path):
+    """A floor that no file could have beside the default ceiling is right beside the file's."""
     path = file_of(tmp_path, "[limits]\nspeed_m_s = 3.0\nfloor_m = 150.0\nceiling_m = 200.0\n")
     for option in (["--settings", str(path)], [f"--settings={path}"]):
-        words = ["run", "--link", "udpin:0.0.0.0:1", *option, "--limits.floor-m", "120"]
-        command = parse(commands(settings_of(words)), words, prog="follow", description="", config=MARKERS)
-        assert isinstance(command, RunCommand)
+        command = run_command(*option, "--limits.floor-m", "120")
         assert command.config.limits == Limits(speed_m_s=3.0, floor_m=120.0, ceiling_m=200.0)
         assert command.settings == path
+
+
+class Still:
+    """A camera that is never read."""
+
+    size = (640, 480)
+
+    def __init__(self, *_: object) -> None: ...
+
+
+def installed(folder: Path, **changed: float) -> Path:
+    """The example, whole, with some of its lines changed as an editor does it."""
+    text = EXAMPLE.read_text()
+    for name, value in changed.items():
+        text, count = re.subn(rf"(?m)^{name} = \S+", f"{name} = {value}", text)
+        assert count == 1
+    return file_of(folder, text)
+
+
+def test_the_installed_file_with_another_lens_and_delay_gives_the_gate_that_view_and_that_age(tmp_path, monkeypatch):
+    """The bug: the file's own lines counted as chosen, and the gate kept 35 degrees and no delay."""
+    monkeypatch.setattr(cli_run, "LiveVideo", Still)
+    words = ("--camera", "/dev/video0", "--target", "1,2,30,40")
+    command = run_command(*words, "--settings", str(installed(tmp_path, fov_deg=120, delay_s=0.1)))
+    config = open_camera(command, SimLink(Vehicle(Autopilot.PX4, VehicleTruth())), print).config
+    assert (config.limits.half_view_rad, config.limits.latency_s) == (pytest.approx(math.radians(60)), 0.1)
+    typed = run_command(*words, "--limits.half-view-rad", "0.5", "--settings", str(command.settings))
+    assert open_camera(typed, SimLink(Vehicle(Autopilot.PX4, VehicleTruth())), print).config.limits.half_view_rad == 0.5
+
+
+def test_the_installed_file_pins_neither_the_scenario_nor_the_kind_of_target(tmp_path):
+    path = str(installed(tmp_path))
+    assert run_command("--camera", "scene:car", "--settings", path).config.servo.standoff_m == 22.0
+    assert run_command("--for", "car", "--settings", path).config.target.size_m == 2.5
+
+
+def test_nothing_is_left_to_be_derived_once_the_camera_is_known():
+    lens = CameraConfig().intrinsics(640, 360)
+    resolved = resolve(Config(), lens, 0.4, 0.1)
+    assert {"camera.down_deg", "limits.half_view_rad", "limits.latency_s"} == DERIVED
+    assert all(value_of(resolved, name) is not None for name in names(resolved))
+    assert keys(tomllib.loads(as_toml(resolved))) == names(Config())
+
+
+def test_the_kind_of_target_lies_above_the_scenario_and_below_file_and_command_line(tmp_path):
+    path = file_of(tmp_path, "[servo]\nstandoff_m = 30.0\n")
+    words = ("--camera", "scene:runner", "--for", "car", "--settings", str(path), "--limits.speed-m-s", "11")
+    config = run_command(*words).config
+    assert (config.target.size_m, config.servo.standoff_m, config.limits.speed_m_s) == (2.5, 30.0, 11.0)
+
+
+@pytest.mark.parametrize("kind", TargetKind)
+def test_each_kind_of_target_sets_size_stand_off_and_speed_limit(kind):
+    assert {f"{branch}.{name}" for branch, held in PRESETS[kind].items() for name in held} == BELOW
+    assert read(["sim", "walker", "--for", kind.value]).config != read(["sim", "walker"]).config
+
+
+def test_a_file_with_a_byte_order_mark_is_read(tmp_path):
+    path = file_of(tmp_path, b"\xef\xbb\xbf[servo]\r\nstandoff_m = 13.0\r\n")
+    assert read_settings(path).servo.standoff_m == 13.0
 
 
 @pytest.mark.parametrize(
@@ -126,7 +211,9 @@ def test_a_wrong_file_is_one_line_with_thing_rule_and_value(tmp_path, capfd, tex
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize(("name", "said"), [("none.toml", "No such file"), (".", "must be a file"), ("", "must be")])
+@pytest.mark.parametrize(
+    ("name", "said"), [("none.toml", "No such file"), (".", "is not a regular file"), ("", "is not a")]
+)
 def test_a_file_that_is_none_is_one_line(tmp_path, monkeypatch, name, said):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(UsageError, match=said) as refusal:
@@ -144,14 +231,51 @@ def test_a_command_without_settings_refuses_the_option(capfd):
     assert "--settings" in capfd.readouterr().err
 
 
-def test_a_live_scene_is_flown_with_what_its_scenario_suggests_beneath_what_a_person_chose():
+def hovering(height_m: float = 8.0) -> SimLink:
+    return SimLink(Vehicle(Autopilot.PX4, VehicleTruth(down_m=-height_m)))
+
+
+def test_a_live_scene_is_flown_with_what_its_scenario_suggests_below_what_a_person_chose():
     scenario = SCENARIOS["runner"]
-    chosen = Config(limits=Limits(fence_m=80.0))
-    command = RunCommand("udpin:0.0.0.0:1", camera="scene:runner", config=chosen)
-    with SimLink(Vehicle(Autopilot.PX4, VehicleTruth(down_m=-8.0))) as link:
-        seen = scene_eye(command, link)
+    seen = open_scene(run_command("--camera", "scene:runner", "--limits.fence-m", "80"), hovering())
     assert seen.config.servo.standoff_m == scenario.standoff_m != ServoConfig().standoff_m
     assert seen.config.target.size_m == scenario.size_m != Config().target.size_m
     assert seen.config.limits.half_view_rad == pytest.approx(scenario.fov_rad / 2)
-    wanted = replace(chosen.limits, speed_m_s=scenario.limits["speed_m_s"])
-    assert replace(seen.config.limits, half_view_rad=wanted.half_view_rad) == wanted
+    wanted = Limits(fence_m=80.0, speed_m_s=scenario.limits["speed_m_s"])
+    assert replace(seen.config.limits, half_view_rad=None, latency_s=None) == wanted
+
+
+def test_camera_options_change_what_is_drawn_and_what_is_believed_alike():
+    """The referee is the drawn camera: by where it draws the same target."""
+    own = open_scene(run_command("--camera", "scene:walker"), hovering(6.0))
+    words = ("--camera", "scene:walker", "--camera.fov-deg", "50", "--camera.down-deg", "35", "--camera.delay-s", "0.2")
+    other = open_scene(run_command(*words), hovering(6.0))
+    for seen in (own, other):
+        drawn = seen.camera.settings
+        assert (drawn.intrinsics, drawn.down_rad) == (seen.lens, seen.down_rad)
+        assert (drawn.latency_s, math.degrees(drawn.down_rad)) == (
+            seen.config.limits.latency_s,
+            pytest.approx(seen.config.camera.down_deg),
+        )
+    assert other.target.area / own.target.area == pytest.approx((other.lens.fx / own.lens.fx) ** 2, rel=0.2)
+    assert other.camera.settings.latency_s == 0.2
+    assert not np.array_equal(own.camera.first()[0].image, other.camera.first()[0].image)
+
+
+@pytest.fixture
+def brief(monkeypatch) -> str:
+    monkeypatch.setitem(SCENARIOS, "brief", replace(SCENARIOS["walker"], name="brief", duration_s=0.5))
+    return "brief"
+
+
+def test_a_simulated_flight_flies_the_mount_that_was_given_and_a_test_may_draw_another(brief, tmp_path):
+    """The referee is where the scenario puts the target: 5.1 m below the camera, 9 m ahead."""
+    config = read(["sim", brief, "--camera.down-deg", "25", "--record.no-pictures"]).config
+    right = FlightSpec(brief, 0, Autopilot.PX4, "racf-", config, tmp_path / "right")
+    wrong = replace(right, drawn=replace(config.camera, down_deg=35.0), out=tmp_path / "wrong")
+    for flight, off_rad in ((right, 0.0), (wrong, math.radians(10.0))):
+        simulate(flight, Terminal(), bar=False)
+        assert read_settings(flight.out / "settings.toml").camera.down_deg == 25.0
+        with (flight.out / "ticks.csv").open() as file:
+            first = next(csv.DictReader(file))
+        assert float(first["target_depression_rad"]) == pytest.approx(math.atan2(5.1, 9.0) - off_rad, abs=0.02)

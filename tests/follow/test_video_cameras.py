@@ -15,7 +15,7 @@ import pytest
 from follow.camera import CameraError, video
 from follow.camera.video import LiveVideo, is_live, open_replay
 from follow.cli.commands import RunCommand
-from follow.cli.run import eye
+from follow.cli.run import open_camera
 from follow.config import CameraConfig, Config
 from follow.messages import Autopilot, Frame
 from sim.dynamics import Vehicle, VehicleTruth
@@ -256,7 +256,7 @@ def test_the_delay_that_a_camera_is_known_to_have_is_taken_off_and_granted_by_th
     began_t_s = time.monotonic()
     with (
         SimLink(Vehicle(Autopilot.PX4, VehicleTruth())) as link,
-        (seen := eye(command, link, lambda _line: None)).camera,
+        (seen := open_camera(command, link, lambda _line: None)).camera,
     ):
         frame = next(frame for frame in seen.camera.frames() if frame is not None)
         assert began_t_s - 0.15 < frame.t_s < time.monotonic() - 0.15

@@ -8,7 +8,7 @@ returns the true box unless a fault changes it.
 import math
 import random
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -184,7 +184,8 @@ class Rig:
         """The whole flight, and at least two seconds beyond it as the link's own leaving has them."""
         config = ServoConfig()
         servo = Wishing(Servo(DOWN_RAD, config), self)
-        self.parts = Parts(self, self, self, Target(LENS, DOWN_RAD), servo, Safety(self.limits))
+        limits = replace(self.limits, half_view_rad=LENS.horizontal_fov_rad / 2)
+        self.parts = Parts(self, self, self, Target(LENS, DOWN_RAD), servo, Safety(limits))
         self.advance(2.0)
         try:
             fly(self.parts, self.operator, self.ticks.append, pause=self.advance)

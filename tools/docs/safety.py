@@ -63,7 +63,9 @@ def limits_page() -> str:
     ]
     defaults = Limits()
     for name in Limits.__slots__:
-        lines.append(f"| `{name}` | {getattr(defaults, name):.4g} | {reason(source, name)} |")
+        default = getattr(defaults, name)
+        shown = "derived" if default is None else f"{default:.4g}"
+        lines.append(f"| `{name}` | {shown} | {reason(source, name)} |")
     return "\n".join(lines) + "\n"
 
 

@@ -17,7 +17,7 @@ from follow.messages import Decision, Estimate, Mode, Order, Setpoint, VehicleSt
 from follow.safety.gate import Gate, Limits, decide
 
 WILD = (math.nan, math.inf, -math.inf, 1e308, -1e308, 5e-324, 0.0, -0.0, 1e9, -1e9)
-LIMITS = Limits()
+LIMITS = Limits(half_view_rad=math.radians(35.0), latency_s=0.0)
 SLACK = 1e-9
 
 
