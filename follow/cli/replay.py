@@ -18,6 +18,7 @@ from follow.messages import Order
 from follow.operator.terminal import Terminal
 from follow.recording.recorder import Recorder
 from follow.recording.scoring import Annotations, FootageScore
+from follow.recording.summary import Figures
 from follow.safety.gate import Safety
 from racf.box import Box
 from racf.commandline import UsageError
@@ -61,7 +62,7 @@ def replay(command: ReplayCommand) -> None:
             terminal.report(line)
         if any(link.refused.values()):
             terminal.report(f"the vehicle refused setpoints: {link.refused}")
-        flown = {"tracker": command.tracker, "autopilot": command.autopilot.value}
+        flown: Figures = {"tracker": command.tracker, "autopilot": command.autopilot.value}
         figures = recorder.close({**flown, **score.figures()})
     conclude(figures, command.out, terminal, as_json=command.json, finished=finished)
 

@@ -2,6 +2,7 @@
 
 import logging
 import signal
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -108,7 +109,9 @@ def fly_live(command: RunCommand) -> None:
     about = f"# follow run {command.link} {command.camera}\n\ntracker {command.tracker}"
     if moved := set_aside(command.out):
         terminal.report(f"the flight that was in {command.out} is now in {moved}")
-    with Recorder(command.out, command.config.record, terminal.report, waits=False, about=about) as recorder:
+    with Recorder(
+        command.out, command.config.record, terminal.report, waits=False, about=about, clock=time.time
+    ) as recorder:
         terminal.listeners.append(recorder.message)
         signing = Signing(command.signing_key) if command.signing_key else None
         tlog = Tlog(command.out / "flight.tlog")

@@ -5,6 +5,7 @@ import sys
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import cast
 
 from follow.cli.commands import SimCommand
 from follow.cli.settings import as_toml
@@ -24,7 +25,7 @@ from racf.parallel import each
 from sim.camera import CameraSettings
 from sim.plot import Strip, draw
 from sim.scenarios import SCENARIOS, Scenario, build
-from sim.score import ScoredTick, score
+from sim.score import FlightScore, ScoredTick, score
 
 OUT = Path("out/sim")
 
@@ -78,9 +79,9 @@ def simulate(flight: FlightSpec, terminal: Terminal, *, bar: bool) -> tuple[Figu
             finished = fly(
                 terminal.progress(ticks, rounds, flight.name) if bar else ticks, recorder, terminal, true_box
             )
-        figures: Figures = asdict(score(rows, drawn.intrinsics, servo.config.standoff_m, asdict(safety.limits)))
-        figures |= {"scenario": flight.scenario, "seed": flight.seed, "autopilot": flight.autopilot.value}
-        figures = recorder.close({"tracker": flight.tracker, **rounded(figures)})
+        scored = rounded(score(rows, drawn.intrinsics, servo.config.standoff_m, asdict(safety.limits)))
+        flown: Figures = {"scenario": flight.scenario, "seed": flight.seed, "autopilot": flight.autopilot.value}
+        figures = recorder.close({"tracker": flight.tracker, **scored, **flown})
     draw(flight.out / "flight.png", flight.name, rows, world, drawn.intrinsics, servo.config.standoff_m, strip)
     return figures, finished
 
@@ -91,10 +92,11 @@ def scene_camera(scenario: Scenario, autopilot: Autopilot, camera: CameraConfig)
     return scenario.camera_settings(autopilot, math.radians(camera.fov_deg), down_rad, camera.delay_s)
 
 
-def rounded(figures: Figures) -> Figures:
-    """Shares and metres to five digits after the point; what does not apply is left out."""
-    known = {name: value for name, value in figures.items() if value is not None}
-    return {name: round(value, 5) if isinstance(value, float) else value for name, value in known.items()}
+def rounded(scored: FlightScore) -> Figures:
+    """Fractions and metres with five decimals; what does not apply is left out."""
+    known = {name: value for name, value in asdict(scored).items() if value is not None}
+    rounded = {name: round(value, 5) if isinstance(value, float) else value for name, value in known.items()}
+    return cast(Figures, rounded)
 
 
 def sim(command: SimCommand, settings_of: Callable[[str], Config]) -> None:
@@ -128,9 +130,8 @@ def sim_all(command: SimCommand, configs: Mapping[str, Config], terminal: Termin
     out = command.out or OUT
     flights = [replace(flight, out=out / flight.name) for flight in flights]
     flown = terminal.progress(each(simulate_quietly, flights), len(flights), "sim --all", "flights")
-    summaries = sorted(
-        (figures for _, figures in flown), key=lambda s: (scenarios.index(s["scenario"]), s["autopilot"], s["seed"])
-    )
+    done = sorted(flown, key=lambda f: (scenarios.index(f[0].scenario), f[0].autopilot.value, f[0].seed))
+    summaries = [figures for _, figures in done]
     written = table(summaries)
     (out / "all.txt").write_text(written)
     if command.json:

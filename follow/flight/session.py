@@ -6,7 +6,7 @@ from pathlib import Path
 from follow.control.acquire import Acquire
 from follow.messages import Order, Tick
 from follow.operator.terminal import Terminal, result
-from follow.recording.recorder import Recorder
+from follow.recording.recorder import FILES, Recorder
 from follow.recording.summary import Figures
 from racf import Racf
 from racf.box import Box
@@ -16,7 +16,7 @@ from racf.tracker import warm_up
 
 
 def acquire(name: str, box: Box) -> Acquire:
-    """A warm tracker that will start on the box in the first picture; raises UsageError for an unknown name."""
+    """A warm tracker that starts on the box in the first frame.  Raises UsageError for an unknown name."""
     try:
         tracker = TrackerSpec.parse(name).build()
     except ValueError as error:
@@ -34,19 +34,21 @@ def once(order: Order) -> Callable[[], Order | None]:
 
 
 def fly(ticks: Iterable[Tick], recorder: Recorder, terminal: Terminal, truth: Callable[[Tick], Box | None]) -> bool:
-    """Record every tick until the frames end; False when a person stopped it."""
+    """Record every tick until the frames end; False if a person stopped it."""
     try:
         for tick in ticks:
             recorder.tick(tick, truth(tick))
     except KeyboardInterrupt:
-        terminal.report("stopped by Ctrl-C: everything up to here is written")
+        terminal.report("stopped by Ctrl-C: everything up to here is recorded")
         return False
     return True
 
 
 def conclude(figures: Figures, out: Path, terminal: Terminal, *, as_json: bool, finished: bool) -> None:
-    """Print what came out; raises KeyboardInterrupt when the flight was cut short."""
+    """Print the figures and where the files are.  Raises KeyboardInterrupt if a person stopped the flight."""
     result(figures, as_json=as_json)
-    terminal.report(f"recording: {out / 'flight.rrd'}")
+    files = [name for name in FILES if (out / name).exists()]
+    look = f"; open it with: follow inspect {out}" if "flight.rrd" in files else ""
+    terminal.report(f"recorded in {out}: {', '.join(files)}{look}")
     if not finished:
         raise KeyboardInterrupt

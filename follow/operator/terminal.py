@@ -2,7 +2,6 @@
 
 import errno
 import json
-import logging
 import math
 import os
 import sys
@@ -19,7 +18,7 @@ ItemT = TypeVar("ItemT")
 
 
 class Terminal:
-    """Standard error for a person.  `listeners` hear each message too (the recording is one)."""
+    """Standard error for a person.  Each message also goes to every listener (the recording is one)."""
 
     def __init__(self) -> None:
         self.listeners: list[Callable[[str], None]] = []
@@ -36,7 +35,7 @@ class Terminal:
             listener(line)
 
     def progress(self, items: Iterable[ItemT], total: int | None, name: str, unit: str = "frames") -> Iterator[ItemT]:
-        """Pass the items on under a bar with their rate and the time left."""
+        """Yield the items under a progress bar with their rate and the time left."""
         columns = (
             TextColumn("{task.description}"),
             BarColumn(),
@@ -49,31 +48,13 @@ class Terminal:
         ) as progress:
             yield from progress.track(items, total=total, description=name)
 
-    def hear(self, logger: str) -> None:
-        """Report what a part of the program logs."""
-        source = logging.getLogger(logger)
-        source.setLevel(logging.INFO)
-        source.addHandler(_Reporting(self.report))
-
 
 class _Lasting(Console):
-    """A console whose reader may go away: a flight does not end for want of a listener."""
+    """A console whose reader may go away without ending the flight."""
 
     def on_broken_pipe(self) -> None:
-        """Say nothing from now on."""
+        """Print nothing from now on."""
         self.quiet = True
-
-
-class _Reporting(logging.Handler):
-    """Log records as lines for a person."""
-
-    def __init__(self, report: Callable[[str], None]) -> None:
-        super().__init__()
-        self._report = report
-
-    def emit(self, record: logging.LogRecord) -> None:
-        """Report one record."""
-        self._report(record.getMessage())
 
 
 class _Rate(ProgressColumn):
@@ -90,14 +71,14 @@ class _Rate(ProgressColumn):
 
 
 def result(figures: Figures | list[Figures], *, as_json: bool) -> None:
-    """Print the result on standard output, for a program or for a person; a terminal may have been closed meanwhile."""
+    """Print the result on standard output, for a program or for a person; a closed terminal is not an error."""
     try:
         sys.stdout.write(listed(figures) if isinstance(figures, dict) and not as_json else _json(figures))
         sys.stdout.flush()
     except OSError as error:
         if error.errno != errno.EIO:
             raise
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for what is flushed at the end
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes standard output at its end
 
 
 def _json(figures: Figures | list[Figures]) -> str:
@@ -118,18 +99,20 @@ COLUMNS = ("in_view", "centring_rms", "standoff_rms_m", "lost_s", "violations", 
 
 
 def table(summaries: list[Figures]) -> str:
-    """Flights as text: a line each, then the means of each scenario and autopilot setting."""
+    """Flights as text: a line each, then the means of each scenario and autopilot."""
     lines = [f"{'scenario':<22}{'autopilot':<11}{'seed':>5}" + "".join(f"{name:>16}" for name in COLUMNS)]
     groups: dict[tuple[str, str], list[Figures]] = {}
     for s in summaries:
-        groups.setdefault((s["scenario"], s["autopilot"]), []).append(s)
+        groups.setdefault((s.get("scenario", ""), s.get("autopilot", "")), []).append(s)
     for (scenario, autopilot), flights in groups.items():
-        rows = [(str(s["seed"]), [_number(s.get(name, math.nan)) for name in COLUMNS]) for s in flights]
+        rows = [(str(s.get("seed", "")), [_number(dict(s).get(name, math.nan)) for name in COLUMNS]) for s in flights]
         rows.append(("mean", [sum(column) / len(flights) for column in zip(*(r[1] for r in rows), strict=True)]))
         lines += [f"{scenario:<22}{autopilot:<11}{seed:>5}" + "".join(f"{v:>16.4g}" for v in row) for seed, row in rows]
     return "\n".join(lines) + "\n"
 
 
-def _number(value: float | dict[str, int]) -> float:
-    """Violations count together."""
-    return float(sum(value.values())) if isinstance(value, dict) else value
+def _number(value: object) -> float:
+    """A figure as one number: violations are summed over the limits."""
+    if isinstance(value, dict):
+        return float(sum(value.values()))
+    return float(value) if isinstance(value, int | float) else math.nan

@@ -1,4 +1,4 @@
-"""The recording: ticks in, `flight.rrd`, `ticks.csv`, `settings.toml` and `summary.json` out; scores and viewer.
+"""Records a flight: ticks in, `flight.rrd`, `ticks.csv`, `settings.toml` and `summary.json` out; scores and viewer.
 
 May import: messages, geometry, ranges and the tracker's evaluation.  Consumes what the loop yields; the loop knows
 nothing of it.

@@ -1,9 +1,9 @@
-"""Ticks as Rerun shows them: entities, two timelines (`seconds`, `frame`) and the layout a person sees first."""
+"""Ticks as Rerun shows them: entities, one timeline (`seconds`, from the first tick) and the layout shown first."""
 
 # Rerun's own check of the Python version hides its names from a type checker that is set to Python 3.10.
 # pyright: reportAttributeAccessIssue=false
 
-from dataclasses import dataclass
+import re
 from pathlib import Path
 from typing import Literal
 
@@ -13,30 +13,35 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
-from follow.messages import NEVER, Setpoint, Tick
+from follow.messages import NEVER, Mode, Setpoint, Tick
+from follow.recording.rows import LoggedTick
 from racf.box import Box
 from racf.track import Track
 
-FLUSH_TIMEOUT_S = 5.0  # a disk that is busy for longer is taken for broken
+FLUSH_TIMEOUT_S = 5.0  # a disk that takes longer counts as broken
 
 GREEN, RED, YELLOW, GREY, BLUE = (80, 220, 100), (240, 70, 60), (250, 210, 60), (150, 150, 150), (90, 160, 255)
-DESIRED = [(150, 200, 255), (255, 205, 150), (190, 230, 190)]  # pale: what the servo desired ...
-SENT = [(40, 110, 230), (230, 120, 20), (30, 150, 60)]  # ... and full: what was sent, forward, right, down
-
-
-@dataclass(frozen=True, slots=True)
-class LoggedTick:
-    """A tick with its number and, where annotations are known, the true box in its picture."""
-
-    n: int
-    tick: Tick
-    truth: Box | None = None
+ORANGE, PALE = (255, 150, 50), (110, 130, 150)
+DESIRED = [(150, 200, 255), (255, 205, 150), (190, 230, 190)]  # pale: the servo's; forward, right, down
+SENT = [(40, 110, 230), (230, 120, 20), (30, 150, 60)]  # saturated: what was sent
+MODE_COLOURS = {
+    Mode.OBSERVE: PALE,  # pale, blue and grey: nothing is sent
+    Mode.READY: BLUE,
+    Mode.ENGAGE: YELLOW,  # yellow and orange: flying without the target in view, or not yet in control
+    Mode.FOLLOW: GREEN,
+    Mode.COAST: YELLOW,
+    Mode.SEARCH: ORANGE,
+    Mode.HOLD: ORANGE,
+    Mode.BRAKE: RED,
+    Mode.ENDED: GREY,
+}
+NUMBER = re.compile(r"-?\d+(\.\d+)?")
 
 
 class RerunRecording:
     """A Rerun recording in a file; use it from one thread.
 
-    `flush` and `close` raise OSError when it cannot be written.
+    `flush` and `close` raise OSError if it cannot be written.
     """
 
     def __init__(self, path: Path, about: str, jpeg_quality: int) -> None:
@@ -45,87 +50,88 @@ class RerunRecording:
         self._recording = rr.RecordingStream("follow-me")
         self._recording.save(path, default_blueprint=layout())
         self._mode = ""
-        self._notes: tuple[str, ...] = ()
-        self._frame = 0
-        self._t_s = 0.0
+        self._found: bool | None = None
+        self._notes: frozenset[str] = frozenset()
         self._shown: set[str] = set()
         self._describe(about)
 
     def tick(self, scene: LoggedTick) -> None:
         """Log one round."""
         tick = scene.tick
-        self._t_s = tick.state.t_s
-        self._frame = tick.frame.index if tick.frame else self._frame
-        self._stamp()
+        self._recording.set_time("seconds", duration=scene.t_s)
         if tick.frame is not None:
             good, jpeg = cv2.imencode(".jpg", tick.frame.image, self._jpeg)
             if good:
-                picture = rr.EncodedImage(contents=jpeg.tobytes(), media_type="image/jpeg")
-                self._recording.log("picture", picture)
+                self._recording.log("image", rr.EncodedImage(contents=jpeg.tobytes(), media_type="image/jpeg"))
         if tick.track is not None:
             self._track(tick.track)
-        self._box("picture/truth", scene.truth, YELLOW, "truth")
+        self._box("image/truth", scene.truth, YELLOW, "truth")
         self._controls(tick)
         if tick.decision.mode != self._mode:
             self._mode = tick.decision.mode.value
             self._recording.log("mode", rr.StateChange(state=self._mode))
-            self._say(f"mode {self._mode}", rr.TextLogLevel.INFO)
-        for note in tick.decision.notes:
-            if note not in self._notes:
-                self._say(note, rr.TextLogLevel.WARN)
-        self._notes = tick.decision.notes
+            self._say(scene.t_s, f"mode {self._mode}", rr.TextLogLevel.INFO)
+        self._new_notes(scene)
 
-    def message(self, text: str) -> None:
-        """Log one line for a person, at the time of the last tick."""
-        self._stamp()
-        self._say(text, rr.TextLogLevel.WARN)
+    def message(self, t_s: float, text: str) -> None:
+        """Log one line for a person at a time of the flight."""
+        self._recording.set_time("seconds", duration=t_s)
+        self._say(t_s, text, rr.TextLogLevel.INFO)
 
     def settings(self, toml: str) -> None:
-        """Log what the flight is flown with."""
+        """Log the flight's settings."""
         text = rr.TextDocument(f"```toml\n{toml}```\n", media_type=rr.MediaType.MARKDOWN)
         self._recording.log("settings", text, static=True)
 
     def flush(self) -> None:
-        """Wait until what is logged is in the file."""
+        """Wait until everything logged so far is in the file."""
         try:
             self._recording.flush(timeout_sec=FLUSH_TIMEOUT_S)
-        except RuntimeError as error:  # Rerun's writer says the cause on its own log only
-            raise OSError(f"{self._path} is no longer written: {error}") from None
+        except RuntimeError as error:  # Rerun writes the cause to its own log only
+            raise OSError(f"{self._path} is no longer written: {error}; the flight goes on") from None
 
     def close(self) -> None:
-        """Write the rest, with the file's index, and let go."""
+        """Write the rest and the file's index, then close the file."""
         try:
             self.flush()
         finally:
             self._recording.disconnect()
 
-    def _stamp(self) -> None:
-        self._recording.set_time("seconds", duration=self._t_s)
-        self._recording.set_time("frame", sequence=self._frame)
+    def _new_notes(self, scene: LoggedTick) -> None:
+        """Log the gate's notes that the tick before did not have; a number that changes does not make a note new."""
+        notes = {NUMBER.sub("#", note): note for note in scene.tick.decision.notes}
+        for kind, note in notes.items():
+            if kind not in self._notes:
+                self._say(scene.t_s, note, rr.TextLogLevel.WARN)
+        self._notes = frozenset(notes)
 
-    def _say(self, text: str, level: str) -> None:
-        self._recording.log("messages", rr.TextLog(text, level=level))
+    def _say(self, t_s: float, text: str, level: str) -> None:
+        self._recording.log("messages", rr.TextLog(f"{t_s:.1f} s  {text}", level=level))
 
     def _track(self, track: Track) -> None:
         log = self._recording.log
         colour = GREEN if track.found else RED
-        self._box("picture/target", track.box, colour, f"{track.confidence:.2f}" if track.found else "lost")
-        self._box("picture/search", track.search, GREY, None)
-        log("track/confidence", rr.Scalars([track.confidence, float(track.found), float(track.refined)]))
+        self._box("image/target", track.box, colour, f"{track.confidence:.2f}" if track.found else "lost")
+        self._box("image/search", track.search, GREY, None)
+        log("track/confidence", rr.Scalars(track.confidence))
+        log("track/refined", rr.Scalars(float(track.refined)))
         log("track/sharpness", rr.Scalars([track.psr, track.apce]))
+        if track.found is not self._found:
+            self._found = track.found
+            log("tracker", rr.StateChange(state="found" if track.found else "lost"))
         if track.response is not None:
-            peak = max(float(track.response.max()), 1e-6)  # how high it is says the PSR; here its shape is shown
+            peak = max(float(track.response.max()), 1e-6)  # normalised for display; the peak's height is in PSR
             heat = np.clip(track.response * (255 / peak), 0, 255).astype(np.uint8)
             log("response", rr.DepthImage(heat, meter=255.0, colormap="viridis", depth_range=[0.0, 255.0]))
         if track.mask is not None and track.mask_box is not None:
             log("mask", rr.SegmentationImage(track.mask))
             outline = rr.LineStrips2D(outlines(track.mask, track.mask_box), colors=[BLUE], radii=[-1.0])
-            log("picture/mask", outline)
+            log("image/mask", outline)
             self._shown.add("mask")
         elif "mask" in self._shown:
             self._shown.remove("mask")
             log("mask", rr.Clear(recursive=False))
-            log("picture/mask", rr.Clear(recursive=False))
+            log("image/mask", rr.Clear(recursive=False))
         for stage, ms in track.stage_ms.items():
             log(["timings", "tracker", stage], rr.Scalars(ms))
 
@@ -150,18 +156,30 @@ class RerunRecording:
             return
         self._shown.add(path)
         labels = None if label is None else [label]
-        shape = rr.Boxes2D(mins=[(box.x, box.y)], sizes=[(box.w, box.h)], colors=[colour], labels=labels, radii=[-1.0])
+        shape = rr.Boxes2D(
+            mins=[(box.x, box.y)],
+            sizes=[(box.w, box.h)],
+            colors=[colour],
+            labels=labels,
+            show_labels=labels is not None,
+            radii=[-1.0],
+        )
         self._recording.log(path, shape)
 
     def _describe(self, about: str) -> None:
-        """What never changes: names and colours of the curves, classes of the mask, the flight in words."""
+        """Log what never changes: names and colours of curves and states, the mask's classes, the flight in words."""
 
         def say(path: str, what: rr.AsComponents) -> None:
             self._recording.log(path, what, static=True)
 
         say("about", rr.TextDocument(about, media_type=rr.MediaType.MARKDOWN))
         say("mask", rr.AnnotationContext([(0, "ground", (0, 0, 0)), (1, "target", BLUE)]))
-        say("track/confidence", rr.SeriesLines(names=["confidence", "found", "refined"], colors=[GREEN, GREY, BLUE]))
+        say("mode", rr.StateConfiguration(values=[m.value for m in MODE_COLOURS], colors=list(MODE_COLOURS.values())))
+        say("tracker", rr.StateConfiguration(values=["found", "lost"], colors=[GREEN, RED]))
+        say("track/confidence", rr.SeriesLines(names=["confidence"], colors=[GREEN]))
+        say("track/refined", rr.SeriesLines(names=["refined"], colors=[BLUE]))
+        say("vehicle/height", rr.SeriesLines(names=["height above the start"], colors=[BLUE]))
+        say("target/range", rr.SeriesLines(names=["range along the ground"], colors=[ORANGE]))
         say("track/sharpness", rr.SeriesLines(names=["PSR", "APCE"], colors=[GREEN, YELLOW]))
         axes = ("forward", "right", "down")
         say("desired/velocity", rr.SeriesLines(names=[f"desired {a}" for a in axes], colors=DESIRED))
@@ -171,21 +189,20 @@ class RerunRecording:
 
 
 def layout(play_state: Literal["paused", "playing", "following"] = "paused") -> rrb.Blueprint:
-    """Picture, mode and messages on the left; what the tracker saw, and what was commanded, on the right."""
+    """Image, modes and messages on the left; range, confidence and commands over time on the right."""
     left = rrb.Vertical(
-        rrb.Spatial2DView(origin="/picture", name="What the camera sees: target, search region, truth"),
-        rrb.StateTimelineView(origin="/mode", name="Mode"),
+        rrb.Spatial2DView(origin="/image", name="Camera: target (green found, red lost), search region, truth"),
+        rrb.StateTimelineView(origin="/", contents=["/mode", "/tracker"], name="Mode of the gate, target in view"),
         rrb.Tabs(
             rrb.TextLogView(origin="/messages", name="Messages"),
             rrb.TextDocumentView(origin="/about", name="About this flight"),
             rrb.TextDocumentView(origin="/settings", name="Settings"),
         ),
-        row_shares=[6, 1, 2],
+        row_shares=[6, 1.5, 2],
     )
     right = rrb.Vertical(
-        rrb.Horizontal(
-            rrb.Spatial2DView(origin="/response", name="Response of the filter"),
-            rrb.Spatial2DView(origin="/mask", name="GrabCut mask"),
+        rrb.TimeSeriesView(
+            origin="/", contents=["/vehicle/height", "/target/range"], name="Height, range to the target, m"
         ),
         rrb.TimeSeriesView(origin="/track/confidence", name="Confidence 0..1"),
         rrb.TimeSeriesView(
@@ -197,13 +214,13 @@ def layout(play_state: Literal["paused", "playing", "following"] = "paused") -> 
             name="Yaw rate: desired and setpoint, degrees/s",
         ),
         rrb.Tabs(
-            rrb.TimeSeriesView(origin="/timings", name="Time of each stage, ms"),
+            rrb.Spatial2DView(origin="/response", name="Response of the filter"),
             rrb.TimeSeriesView(origin="/track/sharpness", name="Sharpness: PSR, APCE"),
-            rrb.TimeSeriesView(
-                origin="/", contents=["/vehicle/height", "/target/range"], name="Height and range to the target, m"
-            ),
+            rrb.Spatial2DView(origin="/mask", name="GrabCut mask"),
+            rrb.TimeSeriesView(origin="/track/refined", name="Box refined by GrabCut, 0 or 1"),
+            rrb.TimeSeriesView(origin="/timings", name="Time of each stage, ms"),
         ),
-        row_shares=[2, 1, 1, 1, 1],
+        row_shares=[1, 1, 1, 1, 1.5],
     )
     return rrb.Blueprint(
         rrb.Horizontal(left, right, column_shares=[3, 2]),
@@ -213,11 +230,11 @@ def layout(play_state: Literal["paused", "playing", "following"] = "paused") -> 
     )
 
 
-def outlines(mask: NDArray[np.uint8], place: Box) -> list[NDArray[np.floating]]:
-    """The borders of the mask's foreground as closed strips (N, 2) in the picture's pixels."""
+def outlines(mask: NDArray[np.uint8], box: Box) -> list[NDArray[np.floating]]:
+    """The borders of the foreground of a mask that covers `box`, as closed strips (N, 2) in the image's pixels."""
     found, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
-    pixel = np.array([place.w / mask.shape[1], place.h / mask.shape[0]])
-    corner = np.array([place.x, place.y])
+    pixel = np.array([box.w / mask.shape[1], box.h / mask.shape[0]])
+    corner = np.array([box.x, box.y])
     return [corner + (np.concatenate([line, line[:1]]).reshape(-1, 2) + 0.5) * pixel for line in found]
 
 

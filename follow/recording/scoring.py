@@ -1,4 +1,4 @@
-"""A flight over annotated footage, scored: the tracker's boxes, and how well the target was kept in view."""
+"""Scores a flight over annotated footage: the tracker's boxes, and how well the target was kept in view."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -22,14 +22,14 @@ class Annotations:
         try:
             self.rows: Boxes = read_boxes(path)
         except UnicodeDecodeError:
-            raise ValueError(f"{path} must be a text of boxes, x,y,w,h in each row") from None
+            raise ValueError(f"{path} must be a text file with x,y,w,h in each row, and is not text") from None
         start = self.box(0)
         if start is None:
             raise ValueError(f"{path}, row 1: the first row must hold a box, not {_row(self.rows[0])}")
         self.start = start
 
     def box(self, index: int) -> Box | None:
-        """The true box in picture `index`, None where the target is absent or the rows have ended."""
+        """The true box in frame `index`; None if the target is absent or the rows have ended."""
         if not 0 <= index < len(self.rows):
             return None
         x, y, w, h = (float(v) for v in self.rows[index])
@@ -40,7 +40,7 @@ class Annotations:
 class FootageScore:
     """Gathers boxes tick by tick over footage of size `whole`.
 
-    `window` says which part of it the camera shows now; None when it shows all.
+    `window` says which part of it the camera shows now; None if it shows all.
     """
 
     def __init__(self, truth: Annotations | None, whole: Box, window: Callable[[], Box] | None = None) -> None:
@@ -49,16 +49,16 @@ class FootageScore:
         self._closed_loop = window is not None
         self._boxes = np.full_like(truth.rows, np.nan) if truth else np.empty((0, 4))
         self._rounds = 0
-        self._pictures = 0
+        self._frames = 0
         self._offsets: list[tuple[float, float]] = []
 
     def add(self, tick: Tick) -> Box | None:
-        """Take in one round; returns the true box in the picture of this round, if there is one."""
+        """Add one round; returns the true box in this round's image, if there is one."""
         if self._truth is None or tick.frame is None or tick.track is None:
             return None
         window = self._window()
         index, box = tick.frame.index, tick.track.box
-        self._pictures = max(self._pictures, index + 1)
+        self._frames = max(self._frames, index + 1)
         if index < len(self._boxes):
             self._rounds = max(self._rounds, index + 1)
             self._boxes[index] = (box.x + window.x + 1, box.y + window.y + 1, box.w, box.h)
@@ -70,15 +70,17 @@ class FootageScore:
         return true.moved(-window.x, -window.y)
 
     def figures(self) -> Figures:
-        """Percent, over the rows that were played; for a moving window also how well the target was kept in view."""
+        """Percent, over the rows that were played; for a moving window also how well it kept the target in view."""
         if self._truth is None or self._rounds == 0:
             return {}
         boxes, truth = self._boxes[: self._rounds], self._truth.rows[: self._rounds]
-        figures: Figures = {}
-        for convention, suffix in ((Convention.TOOLKIT, ""), (Convention.STRICT, "_strict")):
-            scored = score(boxes, truth, convention)
-            figures[f"precision_20px{suffix}"] = round(scored.precision_20px, 3)
-            figures[f"auc{suffix}"] = round(scored.auc, 3)
+        toolkit, strict = (score(boxes, truth, convention) for convention in (Convention.TOOLKIT, Convention.STRICT))
+        figures: Figures = {
+            "precision_20px": round(toolkit.precision_20px, 3),
+            "auc": round(toolkit.auc, 3),
+            "precision_20px_strict": round(strict.precision_20px, 3),
+            "auc_strict": round(strict.auc, 3),
+        }
         if self._closed_loop:
             window = self._window()
             offsets = np.array(self._offsets)
@@ -88,11 +90,11 @@ class FootageScore:
         return figures
 
     def shortfall(self) -> str | None:
-        """One line when rows and pictures do not match in number."""
+        """One line if the numbers of rows and frames differ, else None."""
         if self._rounds < len(self._boxes):
-            return f"{len(self._boxes)} annotated rows, but {self._rounds} pictures: scored on the latter"
-        if self._truth is not None and self._pictures > len(self._boxes):
-            return f"{self._pictures} pictures, but {len(self._boxes)} annotated rows: scored on the latter"
+            return f"{len(self._boxes)} annotated rows, but {self._rounds} frames: only those frames are scored"
+        if self._truth is not None and self._frames > len(self._boxes):
+            return f"{self._frames} frames, but {len(self._boxes)} annotated rows: only those rows are scored"
         return None
 
 

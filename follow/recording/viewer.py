@@ -13,7 +13,7 @@ def recording(path: Path) -> Path:
     if not found.is_file():
         raise FileNotFoundError(f"no recording at {found}")
     if found.suffix != ".rrd":
-        raise FileNotFoundError(f"{found} is no recording: give a flight's folder or its flight.rrd")
+        raise FileNotFoundError(f"{found} is not a recording: give a flight's folder or its flight.rrd")
     return found
 
 
@@ -27,7 +27,7 @@ def viewer() -> str:
 
 
 def show(path: Path) -> None:
-    """Open the viewer on a recording and wait until it is closed.  Raises OSError when that cannot be."""
+    """Open the viewer on a recording and wait until it is closed.  Raises OSError without a display, or if it fails."""
     found = recording(path)
     program = viewer()
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):

@@ -55,7 +55,7 @@ def test_replay_prints_its_summary_and_nothing_else(capfd, footage, tmp_path):
     assert summary["precision_20px"] == summary["precision_20px_strict"] == 100.0
     assert 50 < summary["auc"] <= 100
     assert set(summary["tick_ms"]) == set(summary["tracker_ms"]) == {"p50", "p99", "max"}
-    assert str(tmp_path / "flight.rrd") in err
+    assert f"follow inspect {tmp_path}" in " ".join(err.split())
     rerun = Path(sys.executable).with_name("rerun")
     subprocess.run([rerun, "rrd", "verify", tmp_path / "flight.rrd"], check=True, capture_output=True, timeout=60)
 
@@ -109,7 +109,7 @@ def test_ctrl_c_writes_everything_up_to_there(capfd, footage, tmp_path, monkeypa
     status, out, err = replay(capfd, footage, tmp_path)
     assert status == 1
     assert json.loads(out)["frames"] == lines_of(tmp_path) == 12
-    assert "everything up to here is written" in err
+    assert "everything up to here is recorded" in err
     assert "annotated rows" in err
 
 
@@ -134,7 +134,7 @@ def test_ctrl_c_writes_everything_up_to_there(capfd, footage, tmp_path, monkeypa
         (("doctor", "--system-id", "256"), 2, "--system-id"),
         (("sim", "nowhere"), 2, "nowhere"),
         (("inspect", "nowhere"), 1, "nowhere"),
-        (("inspect", __file__), 1, "no recording"),
+        (("inspect", __file__), 1, "not a recording"),
     ],
 )
 def test_an_error_is_one_line_that_names_the_thing(capfd, words, status, names, tmp_path, monkeypatch):

@@ -1,10 +1,11 @@
-"""The recorder: complete rows, bounded pictures, and a flight that goes on whatever the disk does."""
+"""The recorder: complete rows, a bounded queue of images, and a flight that goes on whatever the disk does."""
 
 import csv
 import json
 import subprocess
 import sys
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -60,14 +61,64 @@ def test_every_tick_is_a_row_that_any_reader_of_csv_reads_back(tmp_path):
 
 
 def test_column_names_carry_their_units():
-    bare = {"tick", "frame", "mode", "notes", "track_found", "track_refined", "track_confidence", "track_psr"}
-    bare |= {"track_apce", "vehicle_mode", "vehicle_in_control", "vehicle_armed"}
+    bare = {"tick", "utc", "frame", "mode", "notes", "track_found", "track_refined", "track_confidence", "track_psr"}
+    bare |= {"track_apce", "vehicle_mode", "vehicle_in_control", "vehicle_armed", "target_contradiction"}
     for name in set(COLUMNS) - bare:
         assert name.endswith(("_s", "_m", "_rad", "_px")), name
 
 
 def test_the_same_ticks_give_the_same_bytes_however_long_they_took():
     assert row(3, tick(3, ms=1.0)) == row(3, tick(3, ms=99.0))
+
+
+def test_times_count_from_the_first_tick_and_the_wall_clock_stands_beside(tmp_path):
+    boot_s, unix_s = 7800.0, 1_700_000_000.25
+    late = [replace(tick(n), state=VehicleState(boot_s + n / 30, attitude_t_s=boot_s)) for n in range(31)]
+    late = [replace(t, frame=Frame(IMAGE, boot_s + t.frame.t_s, t.frame.index)) for t in late]
+    clock = iter([unix_s])
+    with Recorder(tmp_path, RecordConfig(pictures=False), silent, waits=True, clock=lambda: next(clock)) as recorder:
+        for t in late:
+            recorder.tick(t)
+        summary = recorder.close()
+    rows = list(csv.DictReader((tmp_path / "ticks.csv").read_text().splitlines()))
+    assert [float(r["t_s"]) for r in rows] == pytest.approx([n / 30 for n in range(31)], abs=1e-6)
+    assert all(float(r["frame_t_s"]) == pytest.approx(float(r["t_s"]), abs=1e-6) for r in rows)
+    assert {r["vehicle_attitude_t_s"] for r in rows} == {"0"}
+    assert {r["vehicle_heartbeat_t_s"] for r in rows} == {""}
+    assert rows[30]["utc"] == "2023-11-14T22:13:21.250Z"
+    assert summary["started_utc"] == rows[0]["utc"] == "2023-11-14T22:13:20.250Z"
+
+
+def test_a_simulated_flight_holds_no_wall_clock(tmp_path):
+    with Recorder(tmp_path, RecordConfig(pictures=False), silent, waits=True) as recorder:
+        recorder.tick(tick(0))
+        assert "started_utc" not in recorder.close()
+    (first,) = csv.DictReader((tmp_path / "ticks.csv").read_text().splitlines())
+    assert first["utc"] == ""
+
+
+def test_a_note_is_logged_once_however_its_number_changes(monkeypatch):
+    from follow.recording import rerun_log  # noqa: PLC0415
+
+    said: list[str] = []
+    monkeypatch.setattr(
+        rerun_log.RerunRecording, "_say", lambda _self, t_s, text, _level: said.append(f"{t_s:g} {text}")
+    )
+    recording = rerun_log.RerunRecording(Path("/dev/null"), "", 75)
+    notes = [(), *[(f"frame is {0.2 + n / 100:.2f} s old",) for n in range(150)], (), ("frame is 0.50 s old", "fence")]
+    for n, lines in enumerate(notes):
+        decision = Decision(None, Mode.BRAKE, lines)
+        recording.tick(rerun_log.LoggedTick(n, float(n), replace(tick(n), decision=decision)))
+    recording.close()
+    assert said == ["0 mode brake", "1 frame is 0.20 s old", "152 frame is 0.50 s old", "152 fence"]
+
+
+def test_every_mode_has_a_colour_of_its_meaning():
+    from follow.recording.rerun_log import GREEN, GREY, MODE_COLOURS, RED  # noqa: PLC0415
+
+    assert set(MODE_COLOURS) == set(Mode)
+    assert [MODE_COLOURS[m] for m in (Mode.FOLLOW, Mode.BRAKE, Mode.ENDED)] == [GREEN, RED, GREY]
+    assert [m for m, colour in MODE_COLOURS.items() if colour == RED] == [Mode.BRAKE]
 
 
 def test_what_never_happened_is_empty():
@@ -86,11 +137,11 @@ def test_rerun_verifies_the_recording(tmp_path):
         [rerun, "rrd", "print", tmp_path / "flight.rrd"], check=True, capture_output=True, text=True, timeout=60
     ).stdout
     entities = (
-        "/picture",
-        "/picture/target",
-        "/picture/search",
-        "/picture/truth",
-        "/picture/mask",
+        "/image",
+        "/image/target",
+        "/image/search",
+        "/image/truth",
+        "/image/mask",
         "/response",
         "/mask",
     )
@@ -100,7 +151,7 @@ def test_rerun_verifies_the_recording(tmp_path):
         assert f"{entity} " in shown or f"{entity}\n" in shown or f"{entity}'" in shown, entity
 
 
-def test_a_slow_writer_costs_pictures_and_no_row(tmp_path, monkeypatch):
+def test_a_slow_writer_costs_images_and_no_row(tmp_path, monkeypatch):
     from follow.recording import rerun_log as explain  # noqa: PLC0415 - Rerun only where it is needed
 
     gate = threading.Event()

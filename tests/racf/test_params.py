@@ -37,7 +37,7 @@ def clip(ground_px: int = 3) -> list[np.ndarray]:
 
 @cache
 def outcome(params: Params) -> str:
-    """Digest of all that a run of the clip gives out, but for times."""
+    """Digest of all that a run of the clip gives out, except times."""
     tracker = Racf(params)
     tracks = [tracker.init(clip()[0], START), *(tracker.update(image) for image in clip()[1:])]
     given = [
