@@ -1,6 +1,6 @@
 """When setpoints arrive: `follow run` at 30 pictures/s, recording, against `python -m sim.autopilot` over UDP.
 
-    python -m benchmarks.setpoint_timing --seconds 60 [--rules ardupilot] [--let-cores-sleep]
+    python -m benchmarks.setpoint_timing --seconds 60 [--autopilot ardupilot] [--let-cores-sleep]
 
 A relay between the two notes when each setpoint passes.  Prints the intervals and the time from a picture to its
 setpoint; exits 1 when their p99 is above 60 ms or one is above 150 ms.  It also prints how much of this machine's
@@ -57,11 +57,11 @@ def undisturbed(times: list[float], readings: Readings) -> NDArray[np.bool_]:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=60.0)
-    parser.add_argument("--rules", choices=("px4", "ardupilot"), default="px4")
+    parser.add_argument("--autopilot", choices=("px4", "ardupilot"), default="px4")
     parser.add_argument("--let-cores-sleep", action="store_true")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as out, nullcontext() if options.let_cores_sleep else awake():
-        with real_flight(options.rules, Path(out), options=["--seconds", "600"]) as real:
+        with real_flight(options.autopilot, Path(out), options=["--seconds", "600"]) as real:
             real.order()
             began, ticks = time.monotonic(), processor_ticks()
             readings = watched(options.seconds)

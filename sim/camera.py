@@ -22,6 +22,7 @@ from sim.scene.optics import Lens, Optics, Sensor, smear
 from sim.scene.rendering import Scene, Seen
 from sim.scene.world import ActorPose, World
 
+LENS_M = 0.2  # height of the lens of a vehicle that stands on the ground; a lens in the ground sees no plane
 ROUNDS_PER_S = 30.0  # the loop runs at least so often, with or without a picture
 
 
@@ -144,8 +145,10 @@ class SceneCamera:
         motion = self._start()
         image, seen = self._draw(motion, 0.0, 0)
         if seen[0].box is None or seen[0].visible <= 0.0:
+            down_deg, height_m = math.degrees(self.settings.down_rad), max(0.0, -motion.down_m)
             raise ValueError(
-                f"seen from {-motion.down_m:.1f} m above the ground, the target is not in the first picture"
+                f"the target is not in the first image, seen from {height_m:.1f} m above the ground by a camera "
+                f"{down_deg:.0f} degrees below the nose: fly higher, or turn the camera"
             )
         return Frame(image, motion.t_s, 0), seen[0].box
 
@@ -201,7 +204,7 @@ class SceneCamera:
 
     def _view(self, m: VehicleTruth) -> View:
         rotation = camera_to_ned(self.settings.down_rad, m.roll_rad, m.pitch_rad, m.yaw_rad)
-        return View(self.lens.ideal, rotation, np.array([m.north_m, m.east_m, m.down_m]))
+        return View(self.lens.ideal, rotation, np.array([m.north_m, m.east_m, min(m.down_m, -LENS_M)]))
 
     def __enter__(self) -> Self:
         return self

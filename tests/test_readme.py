@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-import tyro
 
 from follow.cli.commands import MARKERS, Command
 from follow.cli.program import main
@@ -18,8 +17,8 @@ from follow.messages import Autopilot, Order, Tick
 from follow.safety.gate import Safety
 from racf import Racf
 from racf.commandline import parse
-from sim.autopilot.program import Options
 from sim.autopilot.program import build as build_autopilot
+from sim.autopilot.program import read as read_autopilot
 from sim.clip import write
 from sim.scenarios import SCENARIOS, build
 from tests.support.real_flight import FIT
@@ -46,13 +45,13 @@ def test_every_follow_command_of_the_readme_is_understood(words):
 def test_the_simulated_autopilot_of_the_readme_flies_and_is_set_as_doctor_asks():
     (words,) = commands("python")
     assert words[:2] == ["-m", "sim.autopilot"]
-    options = tyro.cli(Options, args=words[2:])
+    options = read_autopilot(words[2:])
     flight = build_autopilot(options).flight
     assert not flight.vehicle.motion.landed
-    asked = dict(setting.split("=") for setting in FIT[options.rules])
+    asked = dict(setting.split("=") for setting in FIT[options.autopilot.value])
     assert {name: flight.parameters[name] for name in asked} == {name: float(value) for name, value in asked.items()}
     run = next(words for words in commands("follow") if "scene:walker" in words)
-    assert options.connect.rpartition(":")[2] == run[run.index("--link") + 1].rpartition(":")[2]
+    assert options.link.rpartition(":")[2] == run[run.index("--link") + 1].rpartition(":")[2]
 
 
 @pytest.mark.parametrize("words", commands("make"), ids=" ".join)

@@ -1,9 +1,9 @@
-"""`python -m sim.autopilot`: the simulated vehicle as a PX4 or ArduCopter on UDP.
+"""Simulate a PX4 or ArduCopter with its vehicle, as a MAVLink system on UDP.
 
-    python -m sim.autopilot --rules px4 --connect udpout:127.0.0.1:14540 --gcs udpout:127.0.0.1:14550
+    python -m sim.autopilot --autopilot px4 --link udpout:127.0.0.1:14540 --gcs udpout:127.0.0.1:14550
 
-The application listens at the first address, a ground station at the second.  The time is the machine's, or
-`--speedup` times as fast.
+The application listens at the first address, a ground station at the second.  Mode changes and the autopilot's messages
+are printed on standard error.
 """
 
 import contextlib
@@ -12,15 +12,15 @@ import select
 import socket
 import sys
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import tyro
 
 from follow.link.signing import EPOCH_S, UNITS_PER_S, read_key
-from follow.messages import Autopilot
+from follow.messages import Autopilot, Notify
 from sim.autopilot.system import AutopilotSystem
 from sim.dynamics import Vehicle, VehicleTruth, Wind
 
@@ -30,36 +30,37 @@ STEP_S = 0.005  # twice as often as the fastest telemetry that is asked for in p
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """A simulated autopilot over UDP."""
+    """The options of `python -m sim.autopilot`."""
 
-    rules: Literal["px4", "ardupilot"] = "px4"
-    """Whose rules it follows."""
-    connect: str = "udpout:127.0.0.1:14540"
-    """Where the application listens (udpout:HOST:PORT), or where to wait for it (udpin:HOST:PORT)."""
+    autopilot: Autopilot = Autopilot.PX4
+    """The autopilot whose rules the vehicle obeys."""
+    link: str = "udpout:127.0.0.1:14540"
+    """Address of the application: udpout:HOST:PORT sends to it first, udpin:HOST:PORT waits for its first packet."""
     gcs: str = ""
-    """The same for a ground station; empty for none."""
+    """Address of a ground station, written as for --link. Empty: no ground station."""
     height_m: float = 0.0
-    """Start hovering this high; 0 on the ground."""
+    """Height at the start, m. Above 0 the vehicle is armed and hovers there; at 0 it stands on the ground, disarmed."""
     heading_deg: float = 0.0
-    """Start looking this way, clockwise from north."""
+    """Heading at the start, degrees clockwise from north."""
     wind_m_s: float = 0.0
-    """Steady wind toward the east."""
+    """Steady wind toward the east, m/s."""
     seed: int = 0
-    """Of the gusts and of the wandering of a vehicle that should stand still."""
+    """Seed of the gusts and of the drift in hover."""
     speedup: float = 1.0
-    """Simulated seconds in one of the machine's."""
+    """Simulated seconds in each second of the machine."""
     seconds: float = 0.0
-    """End after this many simulated seconds; 0 never."""
+    """End after this many simulated seconds. 0: run until Ctrl-C."""
     signing_key: Path | None = None
-    """A file with 32 bytes, raw or hexadecimal, its owner's alone: sign packets and accept only signed ones."""
+    """File of the MAVLink 2 signing key, 32 bytes or 64 hexadecimal digits, readable by its owner only. Packets are
+    then signed, and unsigned ones ignored."""
     set: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
-    """NAME=VALUE of a parameter, repeatable."""
+    """Value of an autopilot parameter at the start, as NAME=VALUE. Repeat it for several."""
 
 
 class UdpPort:
-    """One UDP way: `udpout:` speaks first to an address, `udpin:` waits at one and answers whoever spoke last.
+    """One UDP path: `udpout:` speaks first to an address, `udpin:` waits at one and answers whoever spoke last.
 
-    Raises ValueError for a `uri` that is none, OSError for an address that cannot be had.
+    Raises ValueError for an invalid `uri`, OSError for an address that cannot be bound.
     """
 
     def __init__(self, uri: str):
@@ -118,7 +119,7 @@ def check(options: Options) -> None:
 
 
 def finite(text: str) -> float:
-    """The number that `text` is; raises ValueError when it is none or not finite."""
+    """The number that `text` spells; raises ValueError for anything else and for a number that is not finite."""
     value = float(text)
     if not math.isfinite(value):
         raise ValueError(f"{text} is not finite")
@@ -126,10 +127,10 @@ def finite(text: str) -> float:
 
 
 def set_parameter(known: dict[str, float | int], setting: str) -> None:
-    """Obey one NAME=VALUE; raises ValueError for a name that is not in `known` or a value that is no finite number."""
+    """Set one NAME=VALUE; raises ValueError for a name that is not in `known` or a value that is not finite."""
     name, _, text = setting.partition("=")
     if name not in known:
-        raise ValueError(f"--set must name a parameter of these rules, not {name!r}")
+        raise ValueError(f"--set must name a parameter that this autopilot has, not {name!r}")
     try:
         known[name] = type(known[name])(finite(text))
     except ValueError as error:
@@ -154,22 +155,35 @@ def build(options: Options) -> AutopilotSystem:
     check(options)
     start = VehicleTruth(down_m=-options.height_m, yaw_rad=math.radians(options.heading_deg))
     wind = Wind(options.wind_m_s, toward_rad=math.pi / 2)
-    vehicle = Vehicle(Autopilot(options.rules), start, wind, options.seed)
+    vehicle = Vehicle(options.autopilot, start, wind, options.seed)
     key = read_key(options.signing_key) if options.signing_key else None
     links = 2 if options.gcs else 1
     signing_time = round((time.time() - EPOCH_S) * UNITS_PER_S)
-    system = AutopilotSystem(Autopilot(options.rules), vehicle, links, key=key, signing_time=signing_time)
+    system = AutopilotSystem(options.autopilot, vehicle, links, key=key, signing_time=signing_time)
     for setting in options.set:
         set_parameter(system.flight.parameters, setting)
     return system
 
 
-def run(system: AutopilotSystem, ports: list[UdpPort], is_over: Callable[[], bool], speedup: float = 1.0) -> None:
-    """Serve the ports until `is_over` says so."""
+def run(
+    system: AutopilotSystem,
+    ports: list[UdpPort],
+    is_over: Callable[[], bool],
+    speedup: float = 1.0,
+    report: Notify = lambda _line: None,
+) -> None:
+    """Serve the ports until `is_over` says so; `report` hears of each change of mode and each text of the autopilot."""
     began = time.monotonic()
+    mode = system.flight.mode
     while not is_over():
         ready, _, _ = select.select([port.socket for port in ports], [], [], STEP_S)
         system.step((time.monotonic() - began) * speedup)
+        said = list(system.told)
+        if system.flight.mode != mode:
+            said.append(f"mode {mode} -> {system.flight.mode}")
+            mode = system.flight.mode
+        for text in said:
+            report(f"{system.t_s:.1f} s: {text}")
         for link, port in enumerate(ports):
             if port.socket in ready:
                 for data in port.receive():
@@ -179,16 +193,28 @@ def run(system: AutopilotSystem, ports: list[UdpPort], is_over: Callable[[], boo
                 port.send(packet)
 
 
+def read(words: Sequence[str]) -> Options:
+    """The options that the words spell; raises SystemExit for help and for words that are not understood."""
+    markers = (tyro.conf.EnumChoicesFromValues,)
+    return tyro.cli(Options, args=words, prog="python -m sim.autopilot", description=__doc__, config=markers)
+
+
+def report(line: str) -> None:
+    """Print one line for a person."""
+    sys.stderr.write(f"sim.autopilot: {line}\n")
+
+
 def main() -> None:
     """Run until interrupted; bad options are one sentence and exit status 2."""
-    options = tyro.cli(Options, description=__doc__)
-    addresses = {"--connect": options.connect} | ({"--gcs": options.gcs} if options.gcs else {})
+    options = read(sys.argv[1:])
+    addresses = {"--link": options.link} | ({"--gcs": options.gcs} if options.gcs else {})
     with contextlib.ExitStack() as stack:
         try:
             system = build(options)
             ports = [stack.enter_context(open_port(option, uri)) for option, uri in addresses.items()]
         except (ValueError, OSError) as error:
-            sys.stderr.write(f"sim.autopilot: {error}\n")
+            report(str(error))
             sys.exit(2)
         with contextlib.suppress(KeyboardInterrupt):
-            run(system, ports, lambda: 0.0 < options.seconds <= system.t_s, options.speedup)
+            report(f"{options.autopilot.value} in {system.flight.mode} at {options.height_m:g} m, {options.link}")
+            run(system, ports, lambda: 0.0 < options.seconds <= system.t_s, options.speedup, report)

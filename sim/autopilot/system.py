@@ -68,6 +68,7 @@ class AutopilotSystem:
         self._boot_s = boot_s
         self._signing_time = signing_time
         self._told_mode = self.flight.mode
+        self.told: list[str] = []  # the texts sent by the last step
         self._links = [_Link(self._codec(n, key), self._unasked()) for n in range(links)]
 
     def receive(self, data: bytes, link: int = 0) -> None:
@@ -102,6 +103,7 @@ class AutopilotSystem:
                 severity = dialect.MAV_SEVERITY_CRITICAL
                 self._send(way, dialect.MAVLink_statustext_message(severity, text.encode()[:50]))
         self._told_mode = self.flight.mode
+        self.told = list(self.flight.texts)
         self.flight.texts.clear()
 
     def take(self, link: int = 0) -> list[bytes]:

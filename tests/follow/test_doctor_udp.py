@@ -57,9 +57,9 @@ def typed(pilot: Pilot, command: str) -> None:
 def test_the_doctor_is_red_at_defaults_and_green_after_the_commands_it_names(rules, mavsdk, tmp_path, monkeypatch):
     monkeypatch.setitem(os.environ, "MAVLINK20", "1")
     link_port, pilot_port = free_ports(2)
-    ways = ["--connect", f"udpout:127.0.0.1:{link_port}", "--gcs", f"udpin:127.0.0.1:{pilot_port}"]
+    ways = ["--link", f"udpout:127.0.0.1:{link_port}", "--gcs", f"udpin:127.0.0.1:{pilot_port}"]
     link = f"mavsdk+udpin://127.0.0.1:{link_port}" if mavsdk else f"udpin:127.0.0.1:{link_port}"
-    with program([sys.executable, "-m", "sim.autopilot", "--rules", rules, "--height-m", "10", *ways]):
+    with program([sys.executable, "-m", "sim.autopilot", "--autopilot", rules, "--height-m", "10", *ways]):
         pilot = Pilot(rules, pilot_port)
         try:
             pilot.meet()

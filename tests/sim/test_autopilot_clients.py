@@ -3,6 +3,7 @@
 import contextlib
 import math
 import os
+import re
 import socket
 import subprocess
 import sys
@@ -35,7 +36,7 @@ def free_port() -> int:
 @contextlib.contextmanager
 def autopilot(rules: str, port: int) -> Iterator[None]:
     """The program itself, as a person starts it."""
-    call = [sys.executable, "-m", "sim.autopilot", "--rules", rules, "--connect", f"udpout:127.0.0.1:{port}"]
+    call = [sys.executable, "-m", "sim.autopilot", "--autopilot", rules, "--link", f"udpout:127.0.0.1:{port}"]
     process = subprocess.Popen([*call, "--speedup", str(SPEEDUP)])
     try:
         yield
@@ -169,15 +170,15 @@ SETTING = "--set must be NAME=VALUE with a finite number, not"
 @pytest.mark.parametrize(
     ("option", "value", "said"),
     [
-        ("--connect", "nowhere", f"--connect {PORT} 'nowhere'"),
-        ("--connect", "udpout:127.0.0.1:99999", f"--connect {PORT} 'udpout:127.0.0.1:99999'"),
+        ("--link", "nowhere", f"--link {PORT} 'nowhere'"),
+        ("--link", "udpout:127.0.0.1:99999", f"--link {PORT} 'udpout:127.0.0.1:99999'"),
         ("--gcs", "udpin:127.0.0.1:99999", f"--gcs {PORT} 'udpin:127.0.0.1:99999'"),
-        ("--connect", "udpin:192.0.2.1:14540", "--connect must be an address that can be had, not 'udpin:192.0.2.1"),
+        ("--link", "udpin:192.0.2.1:14540", "--link must be an address that can be had, not 'udpin:192.0.2.1"),
         ("--set", "GF_ACTION", f"{SETTING} 'GF_ACTION'"),
         ("--set", "GF_ACTION=abc", f"{SETTING} 'GF_ACTION=abc'"),
         ("--set", "GF_ACTION=nan", f"{SETTING} 'GF_ACTION=nan'"),
         ("--set", "COM_OF_LOSS_T=inf", f"{SETTING} 'COM_OF_LOSS_T=inf'"),
-        ("--set", "GUID_TIMEOUT=1", "--set must name a parameter of these rules, not 'GUID_TIMEOUT'"),
+        ("--set", "GUID_TIMEOUT=1", "--set must name a parameter that this autopilot has, not 'GUID_TIMEOUT'"),
         *[(f"--{name}", bad, f"--{name} {NUMBER} {bad}") for name in FROM_0 for bad in ("nan", "-1", "inf")],
         ("--seed", "-1", f"--seed {NUMBER} -1"),
         *[("--speedup", bad, f"--speedup must be a finite number above 0, not {bad}") for bad in ("nan", "0", "-2")],
@@ -185,7 +186,7 @@ SETTING = "--set must be NAME=VALUE with a finite number, not"
     ],
 )
 def test_a_bad_option_is_one_sentence_that_names_option_rule_and_value(option, value, said, monkeypatch, capsys):
-    monkeypatch.setattr(sys, "argv", ["sim.autopilot", "--connect", "udpout:127.0.0.1:9", option, value])
+    monkeypatch.setattr(sys, "argv", ["sim.autopilot", "--link", "udpout:127.0.0.1:9", option, value])
     monkeypatch.setattr("sim.autopilot.program.run", lambda *_: pytest.fail("it started"))
     with pytest.raises(SystemExit) as left:
         main()
@@ -196,8 +197,20 @@ def test_a_bad_option_is_one_sentence_that_names_option_rule_and_value(option, v
 
 
 def test_a_wrong_address_is_one_line_and_no_trace():
-    call = [sys.executable, "-m", "sim.autopilot", "--connect", "nowhere"]
+    call = [sys.executable, "-m", "sim.autopilot", "--link", "nowhere"]
     done = subprocess.run(call, capture_output=True, text=True, timeout=30, check=False)
     assert done.returncode == 2
     assert done.stderr.strip().count("\n") == 0
     assert "udpout:HOST:PORT" in done.stderr
+
+
+def test_it_says_what_it_simulates_and_each_change_of_mode():
+    port = free_port()
+    words = ["--autopilot", "ardupilot", "--height-m", "6", "--link", f"udpout:127.0.0.1:{port}", "--seconds", "4"]
+    words += ["--set", "FENCE_ENABLE=1", "--set", "FENCE_ALT_MAX=5", "--speedup", "10"]
+    call = [sys.executable, "-m", "sim.autopilot", *words]
+    done = subprocess.run(call, capture_output=True, text=True, timeout=30, check=False)
+    first, *later = done.stderr.splitlines()
+    assert first == f"sim.autopilot: ardupilot in LOITER at 6 m, udpout:127.0.0.1:{port}"
+    assert any(re.fullmatch(r"sim\.autopilot: \d\.\d s: Fence Breached", line) for line in later)
+    assert any(re.fullmatch(r"sim\.autopilot: \d\.\d s: mode LOITER -> RTL", line) for line in later)

@@ -33,6 +33,20 @@ def test_every_scenario_begins_with_the_target_near_the_middle(name):
         assert box.h > 25
 
 
+@pytest.mark.parametrize("height_m", [0.0, -0.0, -0.3, 1e-9])
+def test_the_camera_of_a_vehicle_on_the_ground_draws_and_says_in_one_sentence_that_the_target_is_not_in_view(height_m):
+    """A lens in the ground's plane has no image of it: the matrix from ground to image is singular there."""
+    scenario = SCENARIOS["walker"]
+    world = replace(scenario.world(0), ground_texels=1024)
+    link = SimLink(Vehicle(Autopilot.PX4, replace(scenario.start(world, 0), down_m=-height_m)))
+    camera = SceneCamera(world, link, scenario.camera_settings(Autopilot.PX4))
+    frame = next(camera.frames())
+    assert frame is not None
+    assert frame.image.std() > 5.0
+    with pytest.raises(ValueError, match=r"not in the first image, seen from 0\.0 m .* camera 27 degrees below"):
+        camera.first()
+
+
 def test_there_are_at_least_twelve_scenarios_over_all_targets():
     assert len(SCENARIOS) >= 12
     assert {s.kind for s in SCENARIOS.values()} == set(Kind)

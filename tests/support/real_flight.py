@@ -283,8 +283,8 @@ def real_flight(
     application_port, pilot_port = free_ports(2)
     with contextlib.ExitStack() as stack:
         relay = stack.enter_context(Relay(application_port))
-        ways = ["--connect", f"udpout:127.0.0.1:{relay.port}", "--gcs", f"udpin:127.0.0.1:{pilot_port}"]
-        vehicle = [sys.executable, "-m", "sim.autopilot", "--rules", rules, *ways]
+        ways = ["--link", f"udpout:127.0.0.1:{relay.port}", "--gcs", f"udpin:127.0.0.1:{pilot_port}"]
+        vehicle = [sys.executable, "-m", "sim.autopilot", "--autopilot", rules, *ways]
         vehicle += [word for setting in (*FIT[rules], *settings) for word in ("--set", setting)]
         autopilot = stack.enter_context(program(vehicle))
         pilot = Pilot(rules, pilot_port)
