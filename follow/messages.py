@@ -38,13 +38,40 @@ class Frame:
     index: int
 
 
+class Landed(str, Enum):
+    """What the autopilot says about standing on the ground (EXTENDED_SYS_STATE).  Only IN_AIR means flying."""
+
+    UNKNOWN = "unknown"
+    ON_GROUND = "on the ground"
+    IN_AIR = "in the air"
+    CHANGING = "taking off or landing"
+
+
+class BatteryLevel(str, Enum):
+    """The battery by the autopilot's own failsafe levels (BATTERY_STATUS.charge_state)."""
+
+    UNKNOWN = "unknown"
+    OK = "ok"
+    LOW = "low"
+    CRITICAL = "critical"
+
+
+LANDED_AGE_S = 3.0
+"""`Landed` counts as unknown after this; it is asked for twice a second."""
+
+
 @dataclass(frozen=True, slots=True)
 class VehicleState:
     """What is known of the vehicle at `t_s`; each group carries the time it was measured, NEVER if it was not.
 
     Attitude: roll, pitch, yaw (radians, aerospace order) and the yaw rate.  Position and velocity are local NED.
-    `mode` is the autopilot's own name for its flight mode and `commanded_mode` the one that this program last asked
-    for; `in_control` says that the autopilot now obeys our setpoints.
+    `resets` counts the jumps of the autopilot's own position estimate; `reset_*` is the last jump, new minus old, zero
+    if only the autopilot's counter shows it.  Home is the place of arming, local NED.  Heights are positive upward:
+    above home; above the ground below, by a rangefinder (vertical); above the ground, by a terrain map.
+    `mode` is the autopilot's own name for its flight mode as of `heartbeat_t_s`; `in_control` says that the autopilot
+    obeys our setpoints; `refusal` is its reason for refusing our last mode request, empty if it did not.
+    `rc_healthy` is the autopilot's own word about its remote control (None: unknown), `rc_t_s` the time of the last
+    channels.  `contested_t_s` is the last time that a second sender used the vehicle's id.
     """
 
     t_s: float
@@ -60,13 +87,39 @@ class VehicleState:
     north_m_s: float = 0.0
     east_m_s: float = 0.0
     down_m_s: float = 0.0
+    resets: int = 0
+    reset_t_s: float = NEVER
+    reset_north_m: float = 0.0
+    reset_east_m: float = 0.0
+    reset_down_m: float = 0.0
+    home_t_s: float = NEVER
+    home_north_m: float = 0.0
+    home_east_m: float = 0.0
+    home_down_m: float = 0.0
+    above_home_t_s: float = NEVER
+    above_home_m: float = 0.0
+    above_ground_t_s: float = NEVER
+    above_ground_m: float = 0.0
+    above_terrain_t_s: float = NEVER
+    above_terrain_m: float = 0.0
     heartbeat_t_s: float = NEVER
     autopilot: Autopilot | None = None
     mode: str = ""
-    commanded_mode: str = ""
     in_control: bool = False
+    refusal: str = ""
     armed: bool = False
-    landed: bool = False
+    landed_t_s: float = NEVER
+    landed: Landed = Landed.UNKNOWN
+    battery_t_s: float = NEVER
+    battery: BatteryLevel = BatteryLevel.UNKNOWN
+    rc_t_s: float = NEVER
+    rc_healthy: bool | None = None
+    contested_t_s: float = NEVER
+
+    @property
+    def in_air(self) -> bool:
+        """Whether the autopilot said within LANDED_AGE_S that the vehicle flies; unknown counts as landed."""
+        return self.landed is Landed.IN_AIR and self.t_s - self.landed_t_s <= LANDED_AGE_S
 
     def body_velocity_m_s(self) -> tuple[float, float, float]:
         """Velocity forward, right, down in the heading frame (yaw only: the setpoint's frame)."""

@@ -1,10 +1,10 @@
-"""A multirotor as its autopilot makes it answer to velocity and yaw-rate setpoints.
+"""A multirotor with its autopilot: the response to velocity and yaw-rate setpoints.
 
-The chain is the one that real autopilots share: a dead time, a shaped velocity reference, a PI velocity controller
-that asks for an acceleration, a second-order tilt loop that follows it, drag against the moving air.  The numbers of
-the two settings are fitted to step responses of a flown PX4 and a flown ArduCopter (docs/vehicle.md).
+The chain is common to real autopilots: a dead time, a shaped velocity reference, a PI velocity controller whose output
+is an acceleration, a second-order tilt loop that follows it, drag against the moving air.  The numbers of the two
+settings are fitted to step responses of a flown PX4 and a flown ArduCopter (`sim/measured.py`).
 
-The horizontal plane is complex, north + i·east, so that turning the body frame by the yaw ψ into NED is one product:
+The horizontal plane is complex, north + i·east, so that rotating the body frame by the yaw ψ into NED is one product:
 v = (forward + i·right)·exp(iψ).
 """
 
@@ -16,86 +16,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from follow.messages import HOVER, Autopilot, Setpoint
+from sim.measured import GRAVITY_M_S2, RESPONSES, ResponseModel, VelocityLoop
 
-GRAVITY_M_S2 = 9.80665  # standard gravity, CGPM 1901
-SUBSTEP_S = 0.01  # a quarter of the fastest fitted time constant and less
-
-
-@dataclass(frozen=True, slots=True)
-class VelocityLoop:
-    """A PI velocity loop on one axis and the air that it works against.
-
-    a_ask = gain·(v_ref - v) + integral·∫(v_ref - v)dt + feed_forward·a_ref, limited to `limit_m_s2`;
-    a follows a_ask as ä = ω²(a_ask - a) - 2ζω·ȧ;  v̇ = a - drag·(v - wind).
-    """
-
-    gain_per_s: float
-    integral_per_s2: float
-    feed_forward: float
-    omega_rad_s: float
-    zeta: float
-    drag_per_s: float
-    limit_m_s2: float
-    ramp_m_s2: float  # the reference's own acceleration limit; inf: the setpoint is taken as it comes
-    jerk_m_s3: float
-
-
-@dataclass(frozen=True, slots=True)
-class YawLoop:
-    """The yaw loop: ṙ = gain·(r_ref - r) + integral·∫(r_ref - r)dt - damping·r, with r_ref limited."""
-
-    gain_per_s: float
-    integral_per_s2: float
-    damping_per_s: float
-    rate_limit_rad_s: float
-    ramp_rad_s2: float
-
-
-@dataclass(frozen=True, slots=True)
-class ResponseModel:
-    """How one autopilot answers.  `drift_m_s` is the standard deviation of its wandering when it should stand still."""
-
-    dead_time_s: float
-    yaw_dead_time_s: float
-    horizontal: VelocityLoop
-    vertical: VelocityLoop
-    turn: YawLoop
-    drift_m_s: float
-    drift_time_s: float
-
-
-# 45 degrees: PX4's MPC_TILTMAX_AIR; ArduPilot's ANGLE_MAX raised from 30, without which a car outruns it.
-_TILT_LIMIT_M_S2 = GRAVITY_M_S2 * math.tan(math.radians(45.0))
-
-# Fitted by tools/studies/fit_vehicle.py to PX4 1.16 (SIH quadrotor) and ArduCopter 4.7-dev (SITL quad), speeds to
-# 5 m/s; drag is linear and so extrapolated above.  Limits and ramps are the autopilots' parameters, not fitted.
-ANSWERS: dict[Autopilot, ResponseModel] = {
-    Autopilot.PX4: ResponseModel(
-        dead_time_s=0.067,
-        yaw_dead_time_s=0.071,
-        horizontal=VelocityLoop(1.57, 0.46, 0.116, 13.4, 0.56, 0.279, _TILT_LIMIT_M_S2, math.inf, math.inf),
-        vertical=VelocityLoop(5.64, 3.01, 0.092, 25.0, 1.0, 0.096, 5.0, math.inf, math.inf),
-        turn=YawLoop(3.56, 1.09, 0.642, 3.5, 15.5),
-        drift_m_s=0.065,  # measured: the velocity sideways to a commanded step
-        drift_time_s=0.46,
-    ),
-    Autopilot.ARDUPILOT: ResponseModel(
-        dead_time_s=0.081,
-        yaw_dead_time_s=0.09,
-        horizontal=VelocityLoop(
-            3.85, 8.0, 1.0, 29.9, 1.22, 0.36, _TILT_LIMIT_M_S2, 2.5, 5.0
-        ),  # WPNAV_ACCEL, PSC_JERK_XY
-        vertical=VelocityLoop(1.54, 0.41, 1.2, 13.5, 1.0, 0.0, 5.0, 2.5, 5.0),  # PILOT_ACCEL_Z
-        turn=YawLoop(3.61, 20.9, 1.81, math.radians(60.0), 20.0),  # ATC_SLEW_YAW
-        drift_m_s=0.0,  # it holds within 2 cm
-        drift_time_s=1.0,
-    ),
-}
+SUBSTEP_S = 0.01  # at most a quarter of the fastest fitted time constant
 
 
 @dataclass(frozen=True, slots=True)
 class Wind:
-    """A steady wind toward `toward_rad` (clockwise from north) and gusts about it (first-order Gauss-Markov)."""
+    """A steady wind blowing toward `toward_rad` (clockwise from north) plus first-order Gauss-Markov gusts."""
 
     speed_m_s: float = 0.0
     toward_rad: float = 0.0
@@ -108,7 +36,7 @@ CALM = Wind()
 
 @dataclass(frozen=True, slots=True)
 class VehicleTruth:
-    """Where the vehicle is and how it moves at `t_s`: local NED, aerospace attitude, yaw rate about the down axis."""
+    """The vehicle's true motion at `t_s`: local NED, aerospace attitude, yaw rate about the down axis."""
 
     t_s: float = 0.0
     north_m: float = 0.0
@@ -131,12 +59,12 @@ class _Loop:
     v: complex
     v_ref: complex
     a_ref: complex = 0.0
-    a: complex = 0.0  # what the rotors give: tilt (horizontal) or thrust above hover (vertical)
+    a: complex = 0.0  # of the rotors: tilt (horizontal) or thrust above hover (vertical)
     a_rate: complex = 0.0
     integral: complex = 0.0
 
     def step(self, axis: VelocityLoop, command: complex, wind: complex, dt: float) -> None:
-        """Advance by `dt` toward the velocity `command` in moving air."""
+        """Advance by `dt` toward the velocity `command`, with the given wind."""
         if math.isinf(axis.ramp_m_s2):
             self.v_ref = command
         else:
@@ -146,7 +74,7 @@ class _Loop:
         if abs(ask) > axis.limit_m_s2:
             ask *= axis.limit_m_s2 / abs(ask)
         else:
-            self.integral += axis.integral_per_s2 * error * dt  # no wind-up while the limit holds
+            self.integral += axis.integral_per_s2 * error * dt  # anti-wind-up: not while limited
         omega = axis.omega_rad_s
         self.a_rate += (omega * omega * (ask - self.a) - 2.0 * axis.zeta * omega * self.a_rate) * dt
         self.a += self.a_rate * dt
@@ -156,8 +84,8 @@ class _Loop:
 def ramp(v: complex, a: complex, command: complex, limit: float, jerk: float, dt: float) -> tuple[complex, complex]:
     """Move a velocity reference toward `command` within an acceleration and a jerk limit; returns (v, a).
 
-    The wanted acceleration is the one from which the jerk limit can still stop in time: |a|² = 2·jerk·|error| far
-    away, linear close by so that it settles (ArduPilot's square-root controller).
+    The acceleration is the largest from which the jerk limit can still stop in time: |a|² = 2·jerk·|error| far away,
+    linear close by so that it settles (ArduPilot's square-root controller).
     """
     error = command - v
     distance = abs(error)
@@ -173,13 +101,13 @@ def ramp(v: complex, a: complex, command: complex, limit: float, jerk: float, dt
 
 
 def lean(asked: complex) -> tuple[float, float]:
-    """(roll, pitch) at which the rotors give that acceleration, forward + i·right, while they carry the weight."""
+    """(roll, pitch) at which the rotors carry the weight and accelerate by forward + i·right."""
     pitch = -math.atan2(asked.real, GRAVITY_M_S2)
     return math.atan2(asked.imag * math.cos(pitch), GRAVITY_M_S2), pitch
 
 
 class Vehicle:
-    """The vehicle in flight.  The same seed and the same calls give the same motion, bit for bit."""
+    """The vehicle in flight.  The same seed and calls give the same motion, bit for bit."""
 
     def __init__(
         self,
@@ -187,10 +115,10 @@ class Vehicle:
         start: VehicleTruth = VehicleTruth(),
         wind: Wind = CALM,
         seed: int = 0,
-        answer: ResponseModel | None = None,
+        response: ResponseModel | None = None,
     ) -> None:
         self.autopilot = autopilot
-        self.answer = answer or ANSWERS[autopilot]
+        self.response = response or RESPONSES[autopilot]
         self.wind = wind
         self.motion = replace(start, landed=start.down_m >= 0.0)
         self._random = np.random.default_rng(seed)
@@ -200,13 +128,13 @@ class Vehicle:
         v = complex(start.north_m_s, start.east_m_s)
         self._plane = _Loop(v, v)
         self._lift = _Loop(start.down_m_s, start.down_m_s)
-        self._plane.a = self._plane.integral = self.answer.horizontal.drag_per_s * (v - self._air())
+        self._plane.a = self._plane.integral = self.response.horizontal.drag_per_s * (v - self._air())
         if not self.motion.landed:
             roll, pitch = lean(self._plane.a * cmath.exp(-1j * start.yaw_rad))
             self.motion = replace(self.motion, roll_rad=roll, pitch_rad=pitch)
-        self._lift.a = self._lift.integral = self.answer.vertical.drag_per_s * start.down_m_s
+        self._lift.a = self._lift.integral = self.response.vertical.drag_per_s * start.down_m_s
         self._rate_ref = self._rate = start.yaw_rate_rad_s
-        self._rate_integral = self.answer.turn.damping_per_s * self._rate
+        self._rate_integral = self.response.turn.damping_per_s * self._rate
         self._waiting: deque[tuple[float, Setpoint]] = deque()
         still = Setpoint(yaw_rate_rad_s=start.yaw_rate_rad_s)
         if v or start.down_m_s:
@@ -215,12 +143,12 @@ class Vehicle:
         self._velocity_now = self._yaw_now = still
 
     def step(self, setpoint: Setpoint | None, dt_s: float) -> VehicleTruth:
-        """Fly on for `dt_s` with this setpoint arriving at its start; None: motors off.
+        """Fly for `dt_s` with this setpoint arriving at its start; None: motors off.
 
-        Raises ValueError for a setpoint that is not finite or a time that does not pass.
+        Raises ValueError for a setpoint that is not finite or a `dt_s` that is not positive.
         """
         if dt_s <= 0.0:
-            raise ValueError(f"a step needs a positive time, not {dt_s} s")
+            raise ValueError(f"a step needs a positive duration, not {dt_s} s")
         if setpoint is None:
             self._fall(dt_s)
             return self.motion
@@ -236,21 +164,21 @@ class Vehicle:
         return cmath.rect(self.wind.speed_m_s, self.wind.toward_rad) + self._gust
 
     def _obeyed(self, t_s: float) -> tuple[Setpoint, Setpoint]:
-        """The setpoints whose dead time is over: for velocity, for yaw."""
-        answer = self.answer
+        """The setpoints whose dead time has passed: for velocity and for yaw."""
+        response = self.response
         for sent_s, setpoint in self._waiting:
-            if t_s - sent_s >= answer.dead_time_s - 1e-9:
+            if t_s - sent_s >= response.dead_time_s - 1e-9:
                 self._velocity_now = setpoint
-            if t_s - sent_s >= answer.yaw_dead_time_s - 1e-9:
+            if t_s - sent_s >= response.yaw_dead_time_s - 1e-9:
                 self._yaw_now = setpoint
-        oldest = t_s - max(answer.dead_time_s, answer.yaw_dead_time_s) - 1e-9
+        oldest = t_s - max(response.dead_time_s, response.yaw_dead_time_s) - 1e-9
         while self._waiting and self._waiting[0][0] <= oldest:
             self._waiting.popleft()
         return self._velocity_now, self._yaw_now
 
     def _substep(self, dt: float) -> None:
         now = self.motion
-        answer = self.answer
+        response = self.response
         velocity, turning = self._obeyed(now.t_s)
         self._weather(dt)
         yaw = now.yaw_rad
@@ -259,8 +187,8 @@ class Vehicle:
         if now.landed and velocity.down_m_s >= 0.0:
             self._rest(dt)
             return
-        self._plane.step(answer.horizontal, command, self._air(), dt)
-        self._lift.step(answer.vertical, down, 0.0, dt)
+        self._plane.step(response.horizontal, command, self._air(), dt)
+        self._lift.step(response.vertical, down, 0.0, dt)
         self._turn(turning.yaw_rate_rad_s, dt)
         roll, pitch = lean(self._plane.a * cmath.exp(-1j * yaw))
         v, v_down = self._plane.v, self._lift.v.real
@@ -282,7 +210,7 @@ class Vehicle:
         )
 
     def _turn(self, command: float, dt: float) -> None:
-        turn = self.answer.turn
+        turn = self.response.turn
         limited = max(-turn.rate_limit_rad_s, min(turn.rate_limit_rad_s, command))
         change = turn.ramp_rad_s2 * dt
         self._rate_ref += max(-change, min(change, limited - self._rate_ref))
@@ -297,15 +225,15 @@ class Vehicle:
             spread = self.wind.gust_m_s * math.sqrt(1.0 - keep * keep)
             n = self._random.standard_normal(2)
             self._gust = keep * self._gust + spread * complex(n[0], n[1])
-        if self.answer.drift_m_s > 0.0:
-            keep = math.exp(-dt / self.answer.drift_time_s)
-            spread = self.answer.drift_m_s * math.sqrt(1.0 - keep * keep)
+        if self.response.drift_m_s > 0.0:
+            keep = math.exp(-dt / self.response.drift_time_s)
+            spread = self.response.drift_m_s * math.sqrt(1.0 - keep * keep)
             n = self._random.standard_normal(3)
             self._drift = keep * self._drift + spread * complex(n[0], n[1])
             self._drift_down = keep * self._drift_down + spread * float(n[2])
 
     def _rest(self, dt: float) -> None:
-        """Stand on the ground."""
+        """Stand still on the ground."""
         self._plane = _Loop(0.0, 0.0)
         self._lift = _Loop(0.0, 0.0)
         self._rate = self._rate_ref = self._rate_integral = 0.0
@@ -313,7 +241,7 @@ class Vehicle:
         self.motion = VehicleTruth(now.t_s + dt, now.north_m, now.east_m, 0.0, yaw_rad=now.yaw_rad, landed=True)
 
     def _fall(self, dt_s: float) -> None:
-        """Motors off: free fall without turning, until the ground."""
+        """Motors off: free fall without rotation, down to the ground."""
         self._velocity_now = self._yaw_now = HOVER
         self._waiting.clear()
         now = self.motion

@@ -7,13 +7,11 @@ from types import TracebackType
 from typing_extensions import Self
 
 from follow.geometry import ned_to_heading
-from follow.messages import HOVER, Autopilot, Setpoint, VehicleState
+from follow.link.flight_modes import MODES_OF, STREAM_TIMEOUT_S
+from follow.messages import HOVER, Autopilot, Landed, Setpoint, VehicleState
 from sim.dynamics import Vehicle, VehicleTruth
+from sim.measured import PX4_SINK_M_S
 
-MODE = {Autopilot.PX4: "OFFBOARD", Autopilot.ARDUPILOT: "GUIDED"}
-# Measured: when each stops obeying a stream that stopped (docs/vehicle.md).
-PATIENCE_S = {Autopilot.PX4: 1.2, Autopilot.ARDUPILOT: 3.0}
-SINK_M_S = 0.6  # PX4 without a stream and without a remote control: position mode, measured
 TELEMETRY_DELAY_S = 0.03  # attitude at 50 Hz over a serial line: half a period and the way
 
 
@@ -46,12 +44,12 @@ class SimLink:
         """Whether the stream of setpoints is still believed in."""
         if self.sent_t_s is None:
             return True
-        return self.vehicle.motion.t_s - self.sent_t_s < PATIENCE_S[self.vehicle.autopilot]
+        return self.vehicle.motion.t_s - self.sent_t_s < STREAM_TIMEOUT_S[self.vehicle.autopilot]
 
     def _obeyed(self) -> Setpoint:
         if self.obeys():
             return self.setpoint
-        return Setpoint(down_m_s=SINK_M_S) if self.vehicle.autopilot is Autopilot.PX4 else HOVER
+        return Setpoint(down_m_s=PX4_SINK_M_S) if self.vehicle.autopilot is Autopilot.PX4 else HOVER
 
     def state(self) -> VehicleState:
         """The state as telemetry has it, a little old."""
@@ -73,11 +71,11 @@ class SimLink:
             down_m_s=m.down_m_s,
             heartbeat_t_s=math.floor(self.vehicle.motion.t_s),
             autopilot=autopilot,
-            mode="POSCTL" if px4_lost else MODE[autopilot],
-            commanded_mode=MODE[autopilot],
+            mode="POSCTL" if px4_lost else MODES_OF[autopilot].control,
             in_control=not px4_lost,
             armed=True,
-            landed=m.landed,
+            landed_t_s=m.t_s,
+            landed=Landed.ON_GROUND if m.landed else Landed.IN_AIR,
         )
 
     def send(self, setpoint: Setpoint | None) -> None:

@@ -10,8 +10,9 @@ from follow.geometry import heading_to_ned
 from follow.link import Link
 from follow.messages import Autopilot
 from sim.camera import CameraSettings, LiveFlight, SceneCamera
-from sim.dynamics import ANSWERS, CALM, GRAVITY_M_S2, Vehicle, VehicleTruth, Wind
+from sim.dynamics import CALM, Vehicle, VehicleTruth, Wind
 from sim.link import SimLink
+from sim.measured import GRAVITY_M_S2, RESPONSES
 from sim.scene.optics import Optics
 from sim.scene.world import Kind, World
 from sim.scene.worlds import car_road, footpath, look_alike, set_off, stops, trees_between, turn_back, wall_between
@@ -57,7 +58,7 @@ class Scenario:
 
     def down_rad(self, autopilot: Autopilot) -> float:
         """How far the camera looks below the nose: to the target, less the lean that the cruise needs."""
-        lean = math.atan(ANSWERS[autopilot].horizontal.drag_per_s * self.cruise_m_s / GRAVITY_M_S2)
+        lean = math.atan(RESPONSES[autopilot].horizontal.drag_per_s * self.cruise_m_s / GRAVITY_M_S2)
         return math.atan2(self.height_m - MIDDLE_M[self.kind], self.standoff_m) - lean
 
     @property

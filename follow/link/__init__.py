@@ -1,7 +1,7 @@
 """Links: everything that knows the vehicle's state and takes setpoints, behind the `Link` seam.
 
 `client` is MAVLink without I/O (bytes in, state out); `transports` and `mavsdk_transport` carry the bytes; `replay`
-only pretends to fly.  May import: messages, geometry, ranges.
+is a simple vehicle for recorded footage.  May import: messages, geometry, ranges.
 """
 
 from follow.link.seam import Link, LinkError

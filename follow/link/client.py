@@ -1,96 +1,65 @@
 """Our side of a MAVLink link, without I/O: bytes in, a VehicleState out; setpoints and requests in, packets out.
 
 Rule 1: the vehicle is the PX4 or ArduPilot multirotor whose autopilot (component 1) sends HEARTBEAT; nothing else is
-believed (`follow/link/telemetry.py`).
-Rule 2: we are component 191 of that vehicle, with a HEARTBEAT of our own each second.
-Rule 3: a mode is asked for only by `take_control` and `hold`, and is true only when the autopilot's heartbeat says so.
-Rule 4: once the vehicle left the mode that we asked for, we are out of control until `take_control` is called again.
-Rule 5: a stream that stops or pauses while we are in control ends it with a request for Hold or BRAKE, because PX4
+believed (`follow/link/telemetry.py`), and only from the address that it was first heard at (`follow/link/identity.py`).
+Rule 2: we are component 191 of that vehicle, with a HEARTBEAT each second.
+Rule 3: a mode is requested only by `take_control` and `hold`, and counts only when the autopilot's heartbeat shows it.
+Rule 4: once the vehicle has left the mode that we requested, we have no control until `take_control` is called again.
+Rule 5: a stream that stops or pauses while we are in control ends with a request for Hold or BRAKE, because PX4
 would fall back and then re-enter OFFBOARD by itself at the next setpoint.
+Rule 6: Hold is requested only on a heartbeat that is newer than the reason for it and still shows our mode: whoever
+chose another mode meanwhile keeps the vehicle.
 """
 
-from dataclasses import dataclass, replace
+import logging
+from dataclasses import replace
 
 from pymavlink.dialects.v20 import common as dialect
 
 from follow.link import LinkError
 from follow.link.clock import VehicleClock
 from follow.link.flight_modes import MODES_OF, ModeNames, mode_params
+from follow.link.identity import Peer, Source
+from follow.link.mode_request import ModeRequest
 from follow.link.packets import Message, Packets
+from follow.link.rates import StreamRates
 from follow.link.signing import Signing
 from follow.link.telemetry import AUTOPILOT, LinkObservations, TelemetryDecoder
 from follow.messages import NEVER, Autopilot, Setpoint, VehicleState
+
+log = logging.getLogger(__name__)
 
 FRAME = dialect.MAV_FRAME_BODY_NED  # 8: the frame that both obey as "forward, right, down from the heading"
 VELOCITY_AND_YAW_RATE = 0x05C7  # ignore position, acceleration and yaw; masking one velocity axis drops them all
 COMPANION = dialect.MAV_COMP_ID_ONBOARD_COMPUTER  # 191
 
 HEARTBEAT_EVERY_S = 1.0  # the MAVLink heartbeat protocol's rate
-TIMESYNC_EVERY_S = 0.2  # five chances a second for an exchange that nothing delayed
-RATES_CHECK_EVERY_S = 2.0  # long enough to count a few messages of the slowest stream that we ask for
-ASK_AGAIN_S = 0.7  # a command without an answer is repeated after this, as the command protocol does
-ASK_TIMES = 3
-ASK_PATIENCE_S = 3.0  # a mode acknowledged is waited for this long; PX4's heartbeat shows it up to 1 s late
-STREAM_BEFORE_S = 1.2  # PX4 takes OFFBOARD only after more than 1 s of setpoints at more than 2 Hz
+TIMESYNC_EVERY_S = 0.2  # five chances a second for an exchange without delay
+VERSION_EVERY_S = 2.0
 STREAM_GAP_S = 0.5  # 2 Hz; also the shortest COM_OF_LOSS_T and GUID_TIMEOUT that we ask for
-
-
-@dataclass(frozen=True, slots=True)
-class TelemetryRates:
-    """Messages a second to ask the autopilot for."""
-
-    attitude_hz: float = 50.0  # above the picture rate, so that the pose of a picture is never 20 ms old
-    position_hz: float = 25.0  # 0.2 m at 5 m/s between two of them
-    landed_hz: float = 2.0
-    status_hz: float = 1.0
-    rc_hz: float = 5.0  # a switch is a person's: 0.2 s is not felt
-
-    def by_message(self) -> dict[str, tuple[int, float]]:
-        """Message name -> (id, rate)."""
-        return {
-            "ATTITUDE": (dialect.MAVLINK_MSG_ID_ATTITUDE, self.attitude_hz),
-            "LOCAL_POSITION_NED": (dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED, self.position_hz),
-            "EXTENDED_SYS_STATE": (dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE, self.landed_hz),
-            "SYS_STATUS": (dialect.MAVLINK_MSG_ID_SYS_STATUS, self.status_hz),
-            "RC_CHANNELS": (dialect.MAVLINK_MSG_ID_RC_CHANNELS, self.rc_hz),
-        }
-
-
-@dataclass(slots=True)
-class ModeRequest:
-    """A mode asked for: repeated while nobody answers and the vehicle stays in one of `from_modes`.
-
-    Only a heartbeat later than `told_t_s` says anything of it.
-    """
-
-    mode: str
-    from_modes: tuple[str, ...]
-    told_t_s: float
-    times: int = 0
-    next_t_s: float = NEVER
-    first_t_s: float = NEVER
+REFUSAL_TEXT_S = 2.0  # a STATUSTEXT within this time of a refused request is its reason
 
 
 class MavlinkClient:
     """One companion's conversation with one vehicle.
 
-    Feed it with `receive` and `step`, and send what `take` returns.  `system_id` picks the vehicle; None takes the
+    Feed it with `receive` and `step`, and send what `take` returns.  `system_id` selects the vehicle; None takes the
     first one heard.
     """
 
-    def __init__(
-        self, system_id: int | None = None, rates: TelemetryRates | None = None, signing: Signing | None = None
-    ):
+    def __init__(self, system_id: int | None = None, signing: Signing | None = None):
         self.packets = Packets(system_id or 1, COMPANION, signing)
+        self.peer = Peer()
+        self._signed = signing is not None
         self._vehicle = TelemetryDecoder(system_id)
-        self._rates = rates or TelemetryRates()
+        self._rates = StreamRates()
         self._in_control = False
-        self._commanded_mode = ""
-        self._ask: ModeRequest | None = None
+        self._request: ModeRequest | None = None
+        self._refusal = ""
         self._stream_since_t_s = NEVER
         self._stream_t_s = NEVER
+        self._t_s = NEVER  # the latest time that we were given
         self._done_t_s: dict[str, float] = {}
-        self._counted: dict[str, int] = {}
         self._out: list[bytes] = []
 
     @property
@@ -108,57 +77,82 @@ class MavlinkClient:
         """How the vehicle's clock relates to ours."""
         return self._vehicle.clock
 
+    @property
+    def requested_mode(self) -> str:
+        """The mode that is requested and not yet shown or given up; empty if none is."""
+        return "" if self._request is None else self._request.mode
+
     def state(self, t_s: float) -> VehicleState:
         """What is known of the vehicle at `t_s`."""
         known = self._vehicle.state
-        in_control = self._in_control and known.armed
-        return replace(known, t_s=t_s, commanded_mode=self._commanded_mode, in_control=in_control)
+        stranger_t_s = max(self.peer.strangers.values(), default=NEVER)
+        return replace(
+            known,
+            t_s=t_s,
+            in_control=self._in_control and known.armed,
+            refusal=self._refusal,
+            contested_t_s=max(known.contested_t_s, stranger_t_s),
+        )
 
-    def receive(self, data: bytes, t_s: float, datagram: bool = False) -> list[Message]:
-        """Take in bytes that arrived at `t_s`; returns the messages in them, believed or not."""
+    def receive(self, data: bytes, t_s: float, datagram: bool = False, source: Source = None) -> list[Message]:
+        """Use bytes that arrived at `t_s` from `source`; returns the messages in them, believed or not."""
+        self._t_s = max(self._t_s, t_s)
         messages = self.packets.read_datagram(data) if datagram else self.packets.read(data)
         for message in messages:
+            if self._is_forged(message, source, t_s):
+                continue
             self._vehicle.hear(message, t_s)
             if self.vehicle_id is not None:
                 self.packets.address = self.vehicle_id, COMPANION
+            if isinstance(message, dialect.MAVLink_command_ack_message):
+                self._hear_answer(message)
+            elif isinstance(message, dialect.MAVLink_statustext_message):
+                self._hear_text(message, t_s)
             self._judge_control()
         return messages
 
     def is_from_vehicle(self, message: Message) -> bool:
-        """Whether the vehicle's autopilot sent it; its other components may live elsewhere."""
+        """Whether it bears the vehicle's id and its autopilot's component."""
         return (message.get_srcSystem(), message.get_srcComponent()) == (self.vehicle_id, AUTOPILOT)
 
     def take(self) -> list[bytes]:
-        """The packets to be sent now, in order; each is handed out once."""
+        """The packets to be sent now, in order; each is returned once."""
         out, self._out = self._out, []
         return out
 
     def step(self, t_s: float) -> None:
-        """Do what is due: our heartbeat, the clocks, the telemetry rates, a mode asked for."""
+        """Do what is due: our heartbeat, clock exchange, stream rates, a requested mode."""
+        self._t_s = max(self._t_s, t_s)
         if self._is_due("heartbeat", t_s, HEARTBEAT_EVERY_S):
             kind, autopilot = dialect.MAV_TYPE_ONBOARD_CONTROLLER, dialect.MAV_AUTOPILOT_INVALID
             self._send(dialect.MAVLink_heartbeat_message(kind, autopilot, 0, 0, dialect.MAV_STATE_ACTIVE, 3))
-        if self.vehicle_id is None:
+        autopilot = self._vehicle.state.autopilot
+        if self.vehicle_id is None or autopilot is None:
             return
         if self._is_due("timesync", t_s, TIMESYNC_EVERY_S):
             self._send(dialect.MAVLink_timesync_message(0, round(t_s * 1e9)))
-        if self._is_due("rates", t_s, RATES_CHECK_EVERY_S):
-            self._ask_for_missing_rates()
-        if self.heard.version is None and self._is_due("version", t_s, RATES_CHECK_EVERY_S):
+        for number, rate_hz in self._rates.missing(self.heard.counts, autopilot, t_s):
+            self.command(dialect.MAV_CMD_SET_MESSAGE_INTERVAL, number, 1e6 / rate_hz)
+        if self.heard.version is None and self._is_due("version", t_s, VERSION_EVERY_S):
             self.command(dialect.MAV_CMD_REQUEST_MESSAGE, dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
-        if self._ask is not None:
-            self._pursue(self._ask, t_s)
+        if self._request is not None:
+            self._pursue(self._request, autopilot, t_s)
 
     def send_setpoint(self, setpoint: Setpoint | None, t_s: float) -> None:
-        """Queue one setpoint, or end the stream when None.
+        """Queue one setpoint, or end the stream if None.
 
         Raises ValueError for a number that is not finite: one NaN makes ArduPilot refuse to arm until a restart.
         """
         if setpoint is not None:
             setpoint.require_finite()
+        self._t_s = max(self._t_s, t_s)
         streamed = self._stream_t_s > NEVER
         paused = streamed and t_s - self._stream_t_s > STREAM_GAP_S
         if streamed and (setpoint is None or (paused and self._in_control)):
+            if paused and self._in_control:
+                log.warning(
+                    "no setpoint was sent for %.1f s: this program or its camera stalled", t_s - self._stream_t_s
+                )
             self.hold()
             self._stream_t_s = NEVER
             return
@@ -174,30 +168,39 @@ class MavlinkClient:
         self._send(dialect.MAVLink_set_position_target_local_ned_message(boot_ms, *target, *numbers))
 
     def take_control(self) -> None:
-        """Ask, once, for the mode that obeys setpoints, as soon as they are streaming.
+        """Request, once, the mode that obeys setpoints, as soon as they are streaming.
 
-        Only an operator's explicit order may lead here.  Raises LinkError when no vehicle is known.
+        Only an operator's explicit order may lead here.  Raises LinkError if no vehicle is known.
         """
-        self._begin(self._names().control)
+        now = self._vehicle.state
+        self._refusal = ""
+        self._request = ModeRequest(self._names().control, (now.mode,), now.heartbeat_t_s)
 
-    def hold(self) -> bool:
-        """Ask, once, for Hold or BRAKE if the vehicle obeys us or may soon; returns whether it was asked.
+    def hold(self, *, for_sticks: bool = False) -> bool:
+        """Give the vehicle back if it obeys us or may soon; returns whether a request may follow.
 
-        In any other mode somebody else flies, and is left alone.
+        Requests Hold or BRAKE, or with `for_sticks` the mode that lets the pilot's sticks act, as soon as a heartbeat
+        newer than this call shows that the vehicle is still in our mode.  In any other mode somebody else flies.
         """
-        asked = self._ask
-        if asked is not None and asked.mode == self._names().hold:
+        if self._vehicle.state.autopilot is None:
+            return False
+        names, request = self._names(), self._request
+        mode = names.sticks if for_sticks else names.hold
+        if request is not None and request.mode != names.control:
+            if not request.times:
+                request.mode = mode
             return True
-        may_obey = self._in_control or (asked is not None and asked.times > 0)
+        if not (self._in_control or (request is not None and request.times)):
+            self._request = None
+            return False
+        before = (names.control,) if request is None else (*request.from_modes, names.control)
         self._in_control = False
-        self._ask = None
-        if may_obey:
-            self._begin(self._names().hold)
-        return may_obey
+        self._request = ModeRequest(mode, before, self._t_s, since_t_s=self._t_s)
+        return True
 
     def is_asking(self) -> bool:
-        """Whether a mode asked for is still awaited."""
-        return self._ask is not None
+        """Whether a requested mode is still awaited."""
+        return self._request is not None
 
     def command(self, command: int, *params: float) -> None:
         """Queue a COMMAND_LONG to the autopilot."""
@@ -206,7 +209,7 @@ class MavlinkClient:
         self._send(dialect.MAVLink_command_long_message(*target, command, 0, *numbers))
 
     def request_parameter(self, name: str) -> None:
-        """Ask for one parameter; the answer appears in `heard.parameters`."""
+        """Request one parameter; the answer appears in `heard.parameters`."""
         target = self.vehicle_id or 0, AUTOPILOT
         self._send(dialect.MAVLink_param_request_read_message(*target, name.encode(), -1))
 
@@ -224,53 +227,70 @@ class MavlinkClient:
         self._done_t_s[what] = t_s
         return True
 
-    def _ask_for_missing_rates(self) -> None:
-        """Ask for each stream that brought less than half of what is wanted since the last look.
+    def _is_forged(self, message: Message, source: Source, t_s: float) -> bool:
+        """Whether a packet bears the vehicle's id but does not come from the vehicle's address."""
+        if self.vehicle_id is None or not self.is_from_vehicle(message):
+            return False
+        known = self.peer.address
+        if self.peer.admits(source, t_s, signed=self._signed):
+            if known not in (None, self.peer.address):
+                log.warning("the vehicle is now heard at %s, no longer at %s", self.peer.address, known)
+            return False
+        if self._is_due(f"stranger {source}", t_s, 10.0):
+            log.warning("%s also claims to be system %s: its packets are ignored", source, self.vehicle_id)
+        return True
 
-        So a restarted autopilot, which forgot what it was asked, is asked again.
-        """
-        for name, (number, rate_hz) in self._rates.by_message().items():
-            came = self.heard.counts[name] - self._counted.get(name, 0)
-            self._counted[name] = self.heard.counts[name]
-            if came < 0.5 * rate_hz * RATES_CHECK_EVERY_S:
-                self.command(dialect.MAV_CMD_SET_MESSAGE_INTERVAL, number, 1e6 / rate_hz)
+    # Modes
 
-    def _begin(self, mode: str) -> None:
-        self._commanded_mode = mode
+    def _hear_answer(self, message: dialect.MAVLink_command_ack_message) -> None:
+        """A refused mode request is over, and its result is the reason."""
+        request = self._request
+        if request is None or not request.times or message.command != dialect.MAV_CMD_DO_SET_MODE:
+            return
+        if self.is_from_vehicle(message) and message.result not in (
+            dialect.MAV_RESULT_ACCEPTED,
+            dialect.MAV_RESULT_IN_PROGRESS,
+        ):
+            results = dialect.enums["MAV_RESULT"]
+            name = results[message.result].name if message.result in results else f"result {message.result}"
+            self._give_up(f"the autopilot refused {request.mode} ({name.removeprefix('MAV_RESULT_')})")
+
+    def _hear_text(self, message: dialect.MAVLink_statustext_message, t_s: float) -> None:
+        """The autopilot's words about a request that it refused belong to the reason."""
+        recent = t_s - self._done_t_s.get("request", NEVER) <= REFUSAL_TEXT_S
+        if self._refusal and recent and self.is_from_vehicle(message) and message.text not in self._refusal:
+            self._refusal += f": {message.text}"
+
+    def _give_up(self, reason: str) -> None:
+        log.warning("%s", reason)
+        self._refusal, self._request = reason, None
+
+    def _pursue(self, request: ModeRequest, autopilot: Autopilot, t_s: float) -> None:
+        """Send the request when it may be sent; drop it when it is over."""
         now = self._vehicle.state
-        # PX4 tells a mode up to 1 s late: when Hold is asked for, the mode that obeys us may be yet to be told.
-        from_modes = (now.mode,) if mode == self._names().control else (now.mode, self._names().control)
-        self._ask = ModeRequest(mode, from_modes, told_t_s=now.heartbeat_t_s)
-
-    def _pursue(self, ask: ModeRequest, t_s: float) -> None:
-        """Send the request when it may be sent; drop it when it was answered in vain or the vehicle moved on."""
-        autopilot = self._vehicle.state.autopilot
-        if t_s < ask.next_t_s or autopilot is None:
+        control = self._names().control
+        streaming_s = self._stream_t_s - self._stream_since_t_s if self._stream_t_s > NEVER else None
+        if request.overdue(t_s):
+            if request.times:
+                self._give_up(f"the autopilot stayed in {now.mode} after {request.times} requests for {request.mode}")
+            self._request = None
             return
-        if ask.mode == self._names().control:
-            before_s = STREAM_BEFORE_S if autopilot is Autopilot.PX4 else 0.0
-            if self._stream_t_s == NEVER or self._stream_t_s - self._stream_since_t_s < before_s:
-                return
-        if ask.times == ASK_TIMES or (ask.times and dialect.MAV_CMD_DO_SET_MODE in self.heard.answers):
-            if t_s >= ask.first_t_s + ASK_PATIENCE_S:
-                self._ask = None
-            return
-        self.heard.answers.pop(dialect.MAV_CMD_DO_SET_MODE, None)
-        custom = dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
-        self.command(dialect.MAV_CMD_DO_SET_MODE, custom, *mode_params(autopilot, ask.mode))
-        if ask.times == 0:
-            ask.first_t_s, ask.told_t_s = t_s, self._vehicle.state.heartbeat_t_s
-        ask.times += 1
-        ask.next_t_s = t_s + ASK_AGAIN_S
+        if request.may_send(now, t_s, control, streaming_s, dialect.MAV_CMD_DO_SET_MODE in self.heard.answers):
+            self.heard.answers.pop(dialect.MAV_CMD_DO_SET_MODE, None)
+            log.info("requesting %s", request.mode)
+            custom = dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+            self.command(dialect.MAV_CMD_DO_SET_MODE, custom, *mode_params(autopilot, request.mode))
+            request.sent(now.heartbeat_t_s, t_s)
+            self._done_t_s["request"] = t_s
 
     def _judge_control(self) -> None:
-        """Compare the vehicle's mode with the one that we asked for."""
-        mode, ask = self._vehicle.state.mode, self._ask
-        if ask is not None and self._vehicle.state.heartbeat_t_s > ask.told_t_s:
-            if mode == ask.mode and ask.times:
+        """Compare the vehicle's mode with the one that we requested."""
+        mode, request = self._vehicle.state.mode, self._request
+        if request is not None and self._vehicle.state.heartbeat_t_s > request.cause_t_s:
+            if mode == request.mode and request.times:
                 self._in_control = mode == self._names().control
-                self._ask = None
-            elif mode not in ask.from_modes:
-                self._ask = None  # somebody chose another mode meanwhile: theirs counts
+                self._request = None
+            elif mode not in request.from_modes:
+                self._request = None  # somebody chose another mode meanwhile: theirs counts
         if self._in_control and (mode != self._names().control or not self._vehicle.state.armed):
-            self._in_control = False  # after a disarm, too, it is not ours again without an order
+            self._in_control = False  # also after a disarm it is not ours again without an order

@@ -1,7 +1,7 @@
-"""A vehicle over UDP, TCP, a serial line or MAVSDK: `follow.link.client` with a wire and a clock.
+"""A vehicle over UDP, TCP, a serial line or MAVSDK: `follow.link.client` with a transport and a clock.
 
-One thread only reads, so that a byte's time of arrival is true while the loop computes.  Everything is judged and
-sent in the caller's thread: when that hangs, the stream of setpoints stops and the autopilot's failsafe acts.
+One thread only reads, so that the time of arrival is right while the loop computes.  Everything is judged and sent in
+the caller's thread: if that hangs, the stream of setpoints stops and the autopilot's failsafe acts.
 """
 
 import logging
@@ -13,33 +13,35 @@ from types import TracebackType
 from typing_extensions import Self
 
 from follow.link import LinkError
-from follow.link.client import MavlinkClient, TelemetryRates
+from follow.link.client import MavlinkClient
+from follow.link.identity import Source
 from follow.link.packets import Message
 from follow.link.signing import Signing
 from follow.link.tlog import Tlog
-from follow.link.transports import Source, Transport, open_transport
+from follow.link.transports import Reach, Transport, open_transport
 from follow.messages import NEVER, Setpoint, VehicleState
 
 log = logging.getLogger(__name__)
 
-READ_S = 0.05  # how long the reading thread waits at most before it looks whether it should end
-HOLD_S = 2.0  # PX4 tells a new mode up to 1 s late; twice that
+READ_S = 0.05  # the reading thread checks this often whether it should end
+HOLD_S = 2.0  # PX4 shows a new mode up to 1 s late; twice that
+UNSENT_EVERY_S = 10.0  # dropped packets are reported at most this often
 
 
 class MavlinkLink:
-    """A Link over a wire.  Its clock is the machine's monotonic one."""
+    """A Link over a transport.  Its clock is the machine's monotonic one."""
 
     def __init__(
         self,
-        wire: Transport,
+        transport: Transport,
         system_id: int | None = None,
-        rates: TelemetryRates | None = None,
         signing: Signing | None = None,
         tlog: Tlog | None = None,
     ):
-        self.client = MavlinkClient(system_id, rates, signing)
-        self.unsent = 0  # packets that the wire did not take
-        self._wire = wire
+        self.client = MavlinkClient(system_id, signing)
+        self.unsent = 0  # packets that the transport dropped
+        self._unsent_told = (NEVER, 0)  # when it was last reported, and how many by then
+        self._transport = transport
         self._tlog = tlog
         self._arrived: SimpleQueue[tuple[float, bytes, Source]] = SimpleQueue()
         self._ending = threading.Event()
@@ -57,9 +59,14 @@ class MavlinkLink:
         finally:
             self._ending.set()
             self._reader.join()
-            self._wire.close()
+            self._transport.close()
             if self._tlog is not None:
                 self._tlog.close()
+
+    @property
+    def reach(self) -> Reach:
+        """Who else can send on this link: nobody off this machine, nobody off the cable, or anybody on the network."""
+        return self._transport.reach()
 
     def state(self) -> VehicleState:
         """What is known of the vehicle now."""
@@ -67,22 +74,20 @@ class MavlinkLink:
         return self.client.state(time.monotonic())
 
     def send(self, setpoint: Setpoint | None) -> None:
-        """Hand one setpoint to the autopilot at once, or nothing when None."""
+        """Send one setpoint to the autopilot at once, or nothing if None."""
         self.client.send_setpoint(setpoint, time.monotonic())
         self._flush()
 
     def take_control(self) -> None:
-        """Ask, once, for OFFBOARD or GUIDED; only an operator's explicit order may lead here."""
-        log.info("asking for the mode that obeys setpoints")
+        """Request, once, OFFBOARD or GUIDED; only an operator's explicit order may lead here."""
         self.client.take_control()
 
-    def hold(self) -> None:
-        """Ask, once, for Hold or BRAKE if the vehicle obeys us."""
-        if self.client.hold():
-            log.info("asking for %s", self.client.state(NEVER).commanded_mode)
+    def hold(self, *, for_sticks: bool = False) -> None:
+        """Request, once, Hold or BRAKE if the vehicle obeys us; with `for_sticks` a mode that obeys the pilot's."""
+        self.client.hold(for_sticks=for_sticks)
 
     def pump(self) -> list[Message]:
-        """Take in what arrived and send what is due; returns the messages heard."""
+        """Use what arrived and send what is due; returns the messages received."""
         messages: list[Message] = []
         while True:
             try:
@@ -90,11 +95,11 @@ class MavlinkLink:
             except Empty:
                 break
             refused = self.client.packets.refused
-            found = self.client.receive(data, t_s, self._wire.datagrams)
+            found = self.client.receive(data, t_s, self._transport.datagrams, source)
             # A vehicle whose signing clock is behind ours is refused until it has heard ours.
             is_unheard = self.client.vehicle_id is None and self.client.packets.refused > refused
-            if is_unheard or any(self.client.is_from_vehicle(message) for message in found):
-                self._wire.answer_to(source)
+            if is_unheard or self.client.peer.address is not None:
+                self._transport.answer_to(source if is_unheard else self.client.peer.address)
             if self._tlog is not None:
                 unix_s = time.time() - (time.monotonic() - t_s)
                 for message in found:
@@ -105,7 +110,7 @@ class MavlinkLink:
         return messages
 
     def wait_for_vehicle(self, timeout_s: float) -> None:
-        """Until heartbeat, attitude and position are known; raises LinkError naming what is missing."""
+        """Wait until heartbeat, attitude and position are known; raises LinkError naming what is missing."""
         end_s = time.monotonic() + timeout_s
         while True:
             state = self.state()
@@ -122,7 +127,7 @@ class MavlinkLink:
             time.sleep(0.01)
 
     def listen(self, seconds: float) -> None:
-        """Keep the conversation going for a while, sending no setpoint."""
+        """Keep the conversation going for a while without sending setpoints."""
         end_s = time.monotonic() + seconds
         while time.monotonic() < end_s:
             self.pump()
@@ -130,50 +135,49 @@ class MavlinkLink:
 
     def _read(self) -> None:
         while not self._ending.is_set():
-            data, source = self._wire.read(READ_S)
+            data, source = self._transport.read(READ_S)
             if data:
                 self._arrived.put((time.monotonic(), data, source))
 
     def _flush(self) -> None:
         for packet in self.client.take():
-            if not self._wire.write(packet):
+            if not self._transport.write(packet):
                 self.unsent += 1
             if self._tlog is not None:
                 self._tlog.write(packet, time.time())
+        told_s, told = self._unsent_told
+        if self.client.vehicle_id is not None and self.unsent > told and time.monotonic() - told_s > UNSENT_EVERY_S:
+            log.warning("%d packets could not be sent: the link is full or broken", self.unsent - told)
+            self._unsent_told = time.monotonic(), self.unsent
 
     def _leave(self) -> None:
-        """Leave the vehicle hovering: in Hold or BRAKE if it obeyed us, untouched if it did not."""
+        """Leave the vehicle hovering: in Hold or BRAKE if it obeyed us, as it is if it did not."""
         self.pump()
         if not self.client.hold():
-            log.info("leaving: the vehicle is not ours, nothing is asked of it")
+            log.info("leaving: the vehicle is not ours, no mode is requested")
             return
-        wanted = self.client.state(NEVER).commanded_mode
         end_s = time.monotonic() + HOLD_S
         while self.client.is_asking() and time.monotonic() < end_s:
             self.pump()
             time.sleep(0.01)
-        mode = self.client.state(NEVER).mode
-        if mode == wanted:
-            log.info("leaving: the vehicle is in %s", mode)
-        else:
-            log.warning("leaving: asked for %s, but the vehicle is in %s", wanted, mode)
+        still = f"; {self.client.requested_mode} was requested" if self.client.is_asking() else ""
+        log.info("leaving: the vehicle is in %s%s", self.client.state(NEVER).mode or "no known mode", still)
 
 
 def connect(
     uri: str,
     system_id: int | None = None,
-    rates: TelemetryRates | None = None,
     signing: Signing | None = None,
     tlog: Tlog | None = None,
 ) -> MavlinkLink:
     """A link over `udpin:`, `udpout:`, `tcp:` or `serial:`, or with `mavsdk+` before MAVSDK's own `udpin://...`.
 
-    Raises LinkError when it cannot be opened.
+    Raises LinkError if it cannot be opened.
     """
     if uri.startswith("mavsdk+"):
         if signing is not None:
             raise LinkError("MAVSDK cannot sign here: use the link without `mavsdk+`, or no key")
         from follow.link.mavsdk_transport import open_mavsdk  # noqa: PLC0415 (a large library that other links do without)
 
-        return MavlinkLink(open_mavsdk(uri, system_id), system_id, rates, signing, tlog)
-    return MavlinkLink(open_transport(uri), system_id, rates, signing, tlog)
+        return MavlinkLink(open_mavsdk(uri, system_id), system_id, signing, tlog)
+    return MavlinkLink(open_transport(uri), system_id, signing, tlog)

@@ -1,7 +1,7 @@
-"""A wire whose near end is MAVSDK: it keeps the connection and our heartbeat; messages pass through MavlinkDirect.
+"""A transport over MAVSDK, which keeps the connection and our heartbeat; messages pass through MavlinkDirect.
 
-MAVSDK's Offboard plugin is never used: its own thread goes on resending the last setpoint when this program hangs,
-which keeps the autopilot's failsafe from acting.  A message sent through MavlinkDirect is sent once.
+MAVSDK's Offboard plugin is never used: its thread resends the last setpoint even if this program hangs, which keeps the
+autopilot's failsafe from acting.  A message sent through MavlinkDirect is sent once.
 """
 
 import json
@@ -16,8 +16,9 @@ from mavsdk.plugins.mavlink_direct import MavlinkDirect, MavlinkDirectError, Mav
 from pymavlink.dialects.v20 import common as dialect
 
 from follow.link import LinkError
+from follow.link.identity import Source
 from follow.link.packets import Message, Packets
-from follow.link.transports import Source
+from follow.link.transports import Reach, reach_of
 
 log = logging.getLogger(__name__)
 
@@ -29,22 +30,23 @@ FIELDS = {kind.msgname: kind.fieldnames for kind in dialect.mavlink_map.values()
 class MavsdkTransport:
     """A connection in MAVSDK's own notation: `udpin://HOST:PORT`, `udpout://...`, `tcpout://...`, `serial://DEVICE:BAUD`.
 
-    Blocks up to `timeout_s` until an autopilot is heard.  Raises LinkError when there is none or MAVSDK refuses.
+    Blocks up to `timeout_s` for an autopilot's heartbeat.  Raises LinkError if none comes or MAVSDK refuses the URL.
     """
 
     datagrams = True
 
     def __init__(self, url: str, system_id: int | None = None, timeout_s: float = 10.0):
-        log_subscribe(_log)  # it would write to standard output, which belongs to the results
+        log_subscribe(_log)  # by default it writes to standard output, which is for results
         self._arrived: SimpleQueue[bytes] = SimpleQueue()
         self._codecs: dict[tuple[int, int], Packets] = {}
         self._reader = Packets(0, 0)
+        self._url = url
         self._mavsdk = self._start(url, system_id or 1)
         system = self._mavsdk.first_autopilot(timeout_s)
         if system is None:
             self._mavsdk.destroy()
             raise LinkError(f"MAVSDK heard no autopilot on {url} within {timeout_s:g} s")
-        if system_id is None and system.get_system_id() != 1:  # we must bear the vehicle's number
+        if system_id is None and system.get_system_id() != 1:  # our system id must equal the vehicle's
             own_id = system.get_system_id()
             self._mavsdk.destroy()
             self._mavsdk = self._start(url, own_id)
@@ -56,14 +58,14 @@ class MavsdkTransport:
         self._subscription = self._direct.subscribe_message("", self._hear)
 
     def read(self, timeout_s: float) -> tuple[bytes, Source]:
-        """The next message that MAVSDK heard, as the packet that it came in but for its number."""
+        """The next message that MAVSDK received, as a packet with a new sequence number."""
         try:
             return self._arrived.get(timeout=timeout_s), None
         except Empty:
             return b"", None
 
     def write(self, packet: bytes) -> bool:
-        """Hand one packet's message to MAVSDK, once.  Heartbeats are MAVSDK's own business."""
+        """Hand one packet's message to MAVSDK, once.  Heartbeats are skipped: MAVSDK sends its own."""
         (message,) = self._reader.read_datagram(packet)
         if isinstance(message, dialect.MAVLink_heartbeat_message):
             return True
@@ -74,7 +76,14 @@ class MavsdkTransport:
         return True
 
     def answer_to(self, source: Source) -> None:
-        """MAVSDK knows where the vehicle is."""
+        """Nothing: MAVSDK keeps the vehicle's address."""
+
+    def reach(self) -> Reach:
+        """By the host in the URL: MAVSDK does not tell the vehicle's address."""
+        if self._url.startswith("serial"):
+            return Reach.SERIAL
+        host, _, _port = self._url.rpartition("://")[2].rpartition(":")
+        return reach_of(host)
 
     def close(self) -> None:
         """End MAVSDK and its threads."""
@@ -92,7 +101,7 @@ class MavsdkTransport:
         return mavsdk
 
     def _hear(self, heard: MavlinkMessage, _user: None) -> None:
-        """In MAVSDK's thread: turn its fields back into a packet, for the one path that packets take."""
+        """In MAVSDK's thread: turn its fields back into a packet, so that all transports share one path."""
         kind = KINDS.get(heard.message_name)
         if kind is None:
             return
@@ -109,7 +118,7 @@ def open_mavsdk(uri: str, system_id: int | None = None) -> MavsdkTransport:
 
 
 def _from_json(value: object) -> object:
-    """MAVSDK writes a number that is not finite as null, and text as text."""
+    """MAVSDK writes non-finite numbers as null."""
     if value is None:
         return math.nan
     return value.encode() if isinstance(value, str) else value

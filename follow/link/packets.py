@@ -1,8 +1,8 @@
 """MAVLink packets: bytes to messages and back, no I/O.
 
-pymavlink's parser trusts a length byte: after a garbage byte 0xFD it waits for, and swallows, up to 280 bytes, and it
-takes a packet of unknown type on trust.  Here a packet counts only when its checksum fits; otherwise the search goes
-on one byte further, so that noise costs no good message that follows it.
+pymavlink's parser trusts the length byte: after a garbage byte 0xFD it waits for, and discards, up to 280 bytes, and it
+accepts packets of unknown type unchecked.  Here a packet counts only if its checksum is right; otherwise the search
+continues one byte further, so that noise never costs the valid packet behind it.
 """
 
 import struct
@@ -19,14 +19,14 @@ HEADER_V1, HEADER_V2, CHECKSUM, SIGNATURE = 6, 10, 2, 13  # bytes
 
 
 class SignedMAVLink(dialect.MAVLink):
-    """pymavlink's codec, in which a forged packet cannot silence the true sender.
+    """pymavlink's codec with one fix: a forged packet cannot block the true sender.
 
-    pymavlink 2.4.50 stores a packet's signing time before it checks the signature, so one forged packet with a late
-    time makes every later true one look like a replay.
+    pymavlink 2.4.50 stores a packet's signing timestamp before it checks the signature, so one forged packet with a
+    late timestamp makes every genuine packet after it look like a replay.
     """
 
     def check_signature(self, msgbuf: bytearray, srcSystem: int, srcComponent: int) -> bool:  # noqa: N803 (pymavlink's)
-        """Whether the packet is signed with our key and newer than the last one of its stream."""
+        """Whether the packet is signed with our key and newer than the last one of its sender."""
         times = dict(self.signing.stream_timestamps)
         good = super().check_signature(msgbuf, srcSystem, srcComponent)
         if not good:
@@ -35,7 +35,7 @@ class SignedMAVLink(dialect.MAVLink):
 
 
 class Packets:
-    """One end of a link.  `unreadable` counts bytes that were no packet, `refused` packets with no good signature."""
+    """One end of a link.  `unreadable` counts bytes outside packets, `refused` packets not signed with the key."""
 
     def __init__(self, system_id: int, component_id: int, signing: Signing | None = None):
         self._mav = SignedMAVLink(None, srcSystem=system_id, srcComponent=component_id)
@@ -56,7 +56,7 @@ class Packets:
         self._mav.srcSystem, self._mav.srcComponent = address
 
     def read(self, data: bytes) -> list[Message]:
-        """Take in bytes from a stream, cut anywhere; returns the messages that they complete."""
+        """Decode bytes from a stream, cut at any byte; returns the messages completed by them."""
         buffer = self._waiting
         buffer += data
         messages: list[Message] = []
@@ -81,16 +81,16 @@ class Packets:
         return messages
 
     def read_datagram(self, data: bytes) -> list[Message]:
-        """Take in one datagram: whole packets, of which an unfinished one will never be continued."""
+        """Decode one datagram: whole packets only; an incomplete packet at its end is discarded."""
         messages = self.read(data)
-        while self._waiting:  # what looked like a packet's beginning may hide whole packets behind it
+        while self._waiting:  # a false start marker may hide whole packets behind it
             del self._waiting[:1]
             self.unreadable += 1
             messages += self.read(b"")
         return messages
 
     def write(self, message: Message) -> bytes:
-        """The packet that carries `message`, numbered and, with a key, signed."""
+        """The packet for `message`, with its sequence number and, with a key, signed."""
         if self._signing is not None:
             self._signing.stamp(self._mav)
         packet = message.pack(self._mav)
@@ -98,7 +98,7 @@ class Packets:
         return packet
 
     def _decode(self, packet: bytearray) -> Message | None:
-        """The message, BAD_DATA for a whole packet that is refused, None for what is no packet at all."""
+        """The message; BAD_DATA for a valid packet that is refused; None for an invalid packet."""
         refused = self._mav.signing.reject_count
         try:
             message = self._mav.decode(packet)
@@ -111,9 +111,9 @@ class Packets:
 
 
 def packet_length(buffer: bytearray, start: int) -> int | None:
-    """Bytes of the packet whose marker is at `start`; None while its header is incomplete, 0 for no such packet.
+    """Length in bytes of the packet that starts at `start`; None if its header is incomplete, 0 for an invalid header.
 
-    Flags and type are looked at first: noise full of markers would else cost a checksum for each of them.
+    Flags and type are checked first, so that noise full of start markers does not cost a checksum each.
     """
     is_v2 = buffer[start] == MAGIC_V2
     if len(buffer) < start + (HEADER_V2 if is_v2 else HEADER_V1):
@@ -128,10 +128,5 @@ def packet_length(buffer: bytearray, start: int) -> int | None:
 
 
 def as_bytewise_int(value: float) -> int:
-    """PX4 sends an integer parameter's four bytes in the place of a float's."""
+    """The integer that PX4 sent as the four bytes of a float parameter."""
     return int(struct.unpack("<i", struct.pack("<f", value))[0])
-
-
-def from_bytewise_int(value: int) -> float:
-    """The float whose four bytes are those of `value`."""
-    return float(struct.unpack("<f", struct.pack("<i", value))[0])

@@ -1,7 +1,7 @@
-"""The replay link: a vehicle that only pretends to fly, so that footage can be run through servo and gate.
+"""The replay link: a simple vehicle, so that recorded footage can be run through servo and gate.
 
-The footage does not answer to it.  With `follow.camera.window` it does, as far as it can: a virtual camera looks at a
-window of each picture, and the vehicle's yaw and height move the window, so that bad control loses a real target.
+Recorded footage does not react to the vehicle.  `follow.camera.window` makes it react: a virtual camera shows a window
+of each image, and the vehicle's yaw and height move the window, so that bad control loses a real target.
 """
 
 import math
@@ -11,27 +11,22 @@ from types import TracebackType
 from typing_extensions import Self
 
 from follow.geometry import heading_to_ned
-from follow.messages import HOVER, Autopilot, Setpoint, VehicleState
+from follow.link.flight_modes import MODES_OF, STREAM_TIMEOUT_S
+from follow.messages import HOVER, Autopilot, Landed, Setpoint, VehicleState
 
-# Times to 63 % of a step, dead time included, as measured on PX4 1.16 and ArduCopter 4.7-dev; the middle of both.
+# Time to 63 % of a step, dead time included: the mean of PX4 1.16 and ArduCopter 4.7-dev, as measured.
 YAW_TAU_S = 0.37  # 0.45 and 0.29 to 0.5 rad/s
 SPEED_TAU_S = 0.77  # 0.67 and 0.87 to 2 m/s
 CLIMB_TAU_S = 0.55  # 0.31 and 0.79 to 1 m/s
-FASTEST_M_S = (
-    20.0  # beyond PX4's MPC_XY_VEL_MAX (12) and ArduPilot's usual WPNAV_SPEED limit: not what a follow-me asks for
-)
-FASTEST_YAW_RAD_S = math.radians(
-    200.0
-)  # PX4's MPC_MAN_Y_MAX default range ends at 400, ArduPilot's ATC_SLEW_YAW at 180
-STREAM_TIMEOUT_S = {Autopilot.PX4: 1.1, Autopilot.ARDUPILOT: 3.0}  # measured: flies on this long without setpoints
-MODE = {Autopilot.PX4: "OFFBOARD", Autopilot.ARDUPILOT: "GUIDED"}
+FASTEST_M_S = 20.0  # above PX4's MPC_XY_VEL_MAX (12) and ArduPilot's usual WPNAV_SPEED
+FASTEST_YAW_RAD_S = math.radians(200.0)  # ArduPilot's ATC_SLEW_YAW allows up to 180 deg/s, PX4's MPC_MAN_Y_MAX 400
 
 
 class ReplayLink:
-    """A vehicle with first-order answers, whose time advances by one picture's period at each `send`.
+    """A vehicle with first-order responses, whose time advances by one frame period at each `send`.
 
-    With `holds_place` its horizontal position stays, whatever speed is commanded: the footage's camera did not move.
-    `refused` counts, by rule, the setpoints that were not obeyed and the times that the stream was missed.
+    With `holds_place` its horizontal position is fixed whatever speed is commanded: the footage's camera did not move.
+    `refused` counts, by rule, the setpoints that were not obeyed and the stream timeouts.
     """
 
     def __init__(
@@ -51,7 +46,7 @@ class ReplayLink:
         self._state = self._stamped(VehicleState(0.0, down_m=-height_m, autopilot=autopilot))
 
     def state(self) -> VehicleState:
-        """The vehicle now: telemetry is complete and as fresh as the picture."""
+        """The vehicle now; all telemetry has the time of the frame."""
         return self._state
 
     def send(self, setpoint: Setpoint | None) -> None:
@@ -105,7 +100,7 @@ class ReplayLink:
 
     def _stamped(self, state: VehicleState) -> VehicleState:
         t_s = self._round / self._fps
-        mode = MODE[self._autopilot]
+        mode = MODES_OF[self._autopilot].control
         return replace(
             state,
             t_s=t_s,
@@ -113,9 +108,10 @@ class ReplayLink:
             position_t_s=t_s,
             heartbeat_t_s=t_s,
             mode=mode,
-            commanded_mode=mode,
             in_control=True,
             armed=True,
+            landed_t_s=t_s,
+            landed=Landed.IN_AIR,
         )
 
     def __enter__(self) -> Self:

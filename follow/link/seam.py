@@ -9,7 +9,7 @@ from follow.messages import Setpoint, VehicleState
 
 
 class Link(Protocol):
-    """A way to one vehicle.  Leaving the `with` block ends in hover and closes the way."""
+    """A connection to one vehicle.  Leaving the `with` block makes the vehicle hover and closes the connection."""
 
     def state(self) -> VehicleState:
         """What is known of the vehicle now; never blocks.  Its `t_s` is the loop's only clock."""
@@ -30,4 +30,4 @@ class Link(Protocol):
 
 
 class LinkError(RuntimeError):
-    """The way to the vehicle cannot be opened or broke; the message is one sentence for a person."""
+    """The connection cannot be opened, or it broke.  The message is one sentence for a person."""

@@ -1,6 +1,6 @@
-"""flight.tlog: every packet with its time, as MAVProxy, Mission Planner and pymavlink read it.
+"""flight.tlog: every packet with its time, in the format of MAVProxy, Mission Planner and pymavlink.
 
-A record is the time in microseconds since 1970, 8 bytes, big-endian, and then the packet as it was on the wire.
+A record is the time in microseconds since 1970 (8 bytes, big-endian) followed by the packet as it was on the wire.
 """
 
 import logging
@@ -11,7 +11,7 @@ log = logging.getLogger(__name__)
 
 
 class Tlog:
-    """A growing file of packets.  A full disk ends the log and not the flight."""
+    """Appends packets to a file.  A full disk ends the log, not the flight."""
 
     def __init__(self, path: Path):
         self.path = path
@@ -19,7 +19,7 @@ class Tlog:
         self._ended = False
 
     def write(self, packet: bytes, unix_s: float) -> None:
-        """Append one packet, as of `unix_s`."""
+        """Append one packet with the time `unix_s`."""
         if self._ended:
             return
         try:
@@ -28,7 +28,7 @@ class Tlog:
             self._end(error)
 
     def close(self) -> None:
-        """Write out what is still in memory."""
+        """Flush and close the file."""
         try:
             self._file.close()
         except OSError as error:

@@ -1,12 +1,14 @@
-"""The ways bytes go: UDP, TCP, a serial line.  Reading waits a little; writing never does.
+"""How bytes are carried: UDP, TCP, a serial line.  Reading has a timeout; writing never blocks.
 
-udpin:HOST:PORT     wait there; answer where the vehicle was heard
-udpout:HOST:PORT    speak first
-tcp:HOST:PORT       connect, and again after a drop
-serial:DEVICE:BAUD  open, and again after a drop
+udpin:HOST:PORT     listen; reply to the address of the vehicle
+udpout:HOST:PORT    send first
+tcp:HOST:PORT       connect; reconnect after a drop
+serial:DEVICE:BAUD  open; reopen after a drop
 """
 
 import contextlib
+import fcntl
+import ipaddress
 import os
 import select
 import socket
@@ -14,41 +16,63 @@ import termios
 import time
 import tty
 from abc import ABC, abstractmethod
+from enum import Enum
 from typing import Protocol
 
 from follow.link import LinkError
+from follow.link.identity import Source
 
-REOPEN_S = 1.0  # a serial converter that was pulled out is back after about this
+REOPEN_S = 1.0  # a USB serial adapter takes about this long to come back
 CONNECT_TIMEOUT_S = 2.0
 READ_BYTES = 65536
 
-Source = tuple[str, int] | None
+
+class Reach(str, Enum):
+    """Who can send on a link."""
+
+    LOOPBACK = "loopback"  # programs on this machine
+    SERIAL = "serial"  # whatever is at the other end of a cable or radio
+    NETWORK = "network"  # everybody on the network
+
+
+def reach_of(host: str) -> Reach:
+    """LOOPBACK for this machine's own addresses, else NETWORK."""
+    if host == "localhost":
+        return Reach.LOOPBACK
+    with contextlib.suppress(ValueError):
+        if ipaddress.ip_address(host).is_loopback:
+            return Reach.LOOPBACK
+    return Reach.NETWORK
 
 
 class Transport(Protocol):
-    """One way in and out.  `datagrams` says that what is read at once is whole packets."""
+    """Carries bytes both ways.  `datagrams`: each read returns whole packets."""
 
     datagrams: bool
 
     def read(self, timeout_s: float) -> tuple[bytes, Source]:
-        """What arrived, waiting up to `timeout_s`, and from where; empty when nothing did."""
+        """The bytes that arrived within `timeout_s` (empty: none) and their source address."""
         ...
 
     def write(self, packet: bytes) -> bool:
-        """Send one packet at once; False when it could not leave."""
+        """Send one packet without blocking; False if it was dropped."""
         ...
 
     def answer_to(self, source: Source) -> None:
-        """From now on write to where this came from."""
+        """Send to this address from now on."""
+        ...
+
+    def reach(self) -> Reach:
+        """Who can send on this link."""
         ...
 
     def close(self) -> None:
-        """Give the way back."""
+        """Close it."""
         ...
 
 
 def open_transport(uri: str) -> Transport:
-    """Open the way that `uri` names; raises LinkError when it is written wrongly or cannot be opened."""
+    """Open the transport that `uri` names.  Raises LinkError for a malformed `uri` or if it cannot be opened."""
     kind, _, rest = uri.partition(":")
     name, _, number = rest.rpartition(":")
     if kind not in ("udpin", "udpout", "tcp", "serial") or not name or not number.isdigit():
@@ -72,6 +96,7 @@ class UdpTransport:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         self._peer: Source = None
+        self._host = host
         try:
             self._socket.bind((host, port) if listens else ("", 0))
             if not listens:
@@ -89,18 +114,22 @@ class UdpTransport:
         return b"", None
 
     def write(self, packet: bytes) -> bool:
-        """One packet a datagram."""
+        """Send one packet as one datagram."""
         if self._peer is None:
             return False
         try:
             self._socket.sendto(packet, self._peer)
-        except OSError:  # the buffer is full, the cable is out: a setpoint is not worth waiting for
+        except OSError:  # send failed: drop the packet, never block the control loop
             return False
         return True
 
     def answer_to(self, source: Source) -> None:
-        """The caller names the addressee, so that a stray sender does not become it."""
+        """The caller chooses the peer, so that a stray sender cannot become it."""
         self._peer = source
+
+    def reach(self) -> Reach:
+        """By the peer's address once there is one, else by the address that it listens at."""
+        return reach_of(self._peer[0] if self._peer is not None else self._host)
 
     def close(self) -> None:
         """Close the socket."""
@@ -108,7 +137,7 @@ class UdpTransport:
 
 
 class _StreamTransport(ABC):
-    """What a TCP connection and a serial line share: a file descriptor that may be lost and opened again."""
+    """Shared by TCP and serial lines: a file descriptor that is reopened after it was lost."""
 
     datagrams = False
 
@@ -118,10 +147,15 @@ class _StreamTransport(ABC):
         self._file = self._open()
 
     @abstractmethod
+    def reach(self) -> Reach:
+        """Who can send on this link."""
+        ...
+
+    @abstractmethod
     def _open(self) -> int: ...
 
     def read(self, timeout_s: float) -> tuple[bytes, Source]:
-        """Whatever came; after a drop, tries now and then to open again."""
+        """The bytes that arrived; after a drop, retries every REOPEN_S."""
         if self._file is None:
             self._reopen(timeout_s)
             return b"", None
@@ -138,7 +172,7 @@ class _StreamTransport(ABC):
         return data, None
 
     def write(self, packet: bytes) -> bool:
-        """A packet that does not fit into the buffer whole is cut off; the receiver's checksum sorts that out."""
+        """A packet that does not fit into the buffer is truncated; the receiver's checksum discards it."""
         if self._file is None:
             return False
         try:
@@ -146,8 +180,8 @@ class _StreamTransport(ABC):
         except OSError:
             return False
 
-    def answer_to(self, source: Source) -> None:  # noqa: B027 - nothing to do is the answer, not a gap
-        """There is only one other end."""
+    def answer_to(self, source: Source) -> None:  # noqa: B027 (nothing to do)
+        """Nothing: there is only one peer."""
 
     def close(self) -> None:
         """Close the file."""
@@ -168,39 +202,62 @@ class _StreamTransport(ABC):
 
 
 class TcpTransport(_StreamTransport):
-    """A TCP connection that we make."""
+    """A TCP connection to a listening peer."""
 
     def __init__(self, host: str, port: int):
         self._address = (host, port)
         super().__init__()
 
+    def reach(self) -> Reach:
+        """By the peer's address."""
+        return reach_of(self._address[0])
+
     def _open(self) -> int:
         connection = socket.create_connection(self._address, timeout=CONNECT_TIMEOUT_S)
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # a setpoint waits for no other
+        connection.setsockopt(
+            socket.IPPROTO_TCP, socket.TCP_NODELAY, 1
+        )  # do not wait to merge setpoints into one segment
         connection.setblocking(False)
         return connection.detach()
 
 
 class SerialTransport(_StreamTransport):
-    """A serial line, 8N1 without flow control."""
+    """A serial line, 8N1 without flow control.  It is locked: two readers would each get half of the bytes."""
 
     def __init__(self, device: str, baud: int):
         self._device = device
         self._baud = getattr(termios, f"B{baud}", None)
         if self._baud is None:
-            raise OSError(f"{baud} is not a speed that this system knows")
+            raise OSError(f"{baud} is not a baud rate of this system")
         super().__init__()
+
+    def reach(self) -> Reach:
+        """The other end of the cable or radio."""
+        return Reach.SERIAL
 
     def _open(self) -> int:
         line = os.open(self._device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         try:
+            lock(line)
             tty.setraw(line)
             settings = termios.tcgetattr(line)
             settings[4] = settings[5] = self._baud
             settings[2] |= termios.CLOCAL | termios.CREAD
             settings[2] &= ~termios.CRTSCTS
             termios.tcsetattr(line, termios.TCSANOW, settings)
-        except termios.error:
+        except (OSError, termios.error):
             os.close(line)
             raise
         return line
+
+
+def lock(line: int) -> None:
+    """Lock a serial line as pyserial's `exclusive` does (flock), and bar others from opening it (TIOCEXCL).
+
+    Raises OSError if another program has it.
+    """
+    try:
+        fcntl.flock(line, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise OSError("another program is using this serial line: stop it first") from None
+    fcntl.ioctl(line, termios.TIOCEXCL)

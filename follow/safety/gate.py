@@ -75,7 +75,7 @@ def unseen(estimate: Estimate, t_s: float, limits: Limits) -> float:
 def events(gate: Gate, unseen_s: float, state: VehicleState, old: tuple[str, ...], limits: Limits) -> list[Event]:
     """The events of this round, in the order in which the table takes them."""
     seen = unseen_s <= limits.coast_after_s
-    in_air = state.armed and not state.landed
+    in_air = state.armed and state.in_air
     green = seen and not old and in_air
     found = [Event.ORDER_OBSERVE] if gate.ordered is Order.OBSERVE else []
     if gate.mode in FLYING and not (state.in_control and state.armed):

@@ -1,28 +1,32 @@
 """What a simulated autopilot does with the vehicle: modes, arming, guidance, failsafes; no MAVLink.
 
-`Flight` is what PX4 and ArduCopter share; `sim/autopilot/rules.py` holds what they do differently.
+`AutopilotCore` is what PX4 and ArduCopter share; `sim/autopilot/rules.py` holds their differences.
 """
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from enum import IntEnum
+from enum import Enum, IntEnum, auto
 from typing import ClassVar
 
 from follow.geometry import ned_to_heading
 from follow.messages import NEVER, Autopilot, Setpoint
-from sim.autopilot.parameters import DEFAULTS
+from sim.autopilot.parameters import defaults
 from sim.dynamics import Vehicle
+from sim.measured import PX4_SINK_M_S
 
-STEP_S = 0.02  # guidance runs at 50 Hz, as the position controllers of both do
+STEP_S = 0.02  # guidance runs at 50 Hz, like the position controllers of both
 POSITION_GAIN_PER_S = 0.95  # PX4 MPC_XY_P
 CLIMB_M_S = 1.5  # PX4 MPC_TKO_SPEED
 DESCEND_M_S = {Autopilot.PX4: 0.7, Autopilot.ARDUPILOT: 0.5}  # MPC_LAND_SPEED, LAND_SPEED
-SINK_M_S = 0.6  # PX4 in position mode without a stick to read, as measured
 STICK_M_S = 5.0  # at full deflection
 ARRIVED_M = 0.3
-NO_PWM = 0xFFFF  # of an RC channel that is not there
+NO_PWM = 0xFFFF  # PWM of an RC channel that does not exist
+
+
+Sticks = tuple[float, float, float, float]
+"""Pitch, roll, down, yaw in -1..1."""
 
 
 class Result(IntEnum):
@@ -37,7 +41,7 @@ class Result(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """A velocity setpoint as the autopilot understood it: `body` says in which axes; yaw_rate None turns to course."""
+    """A velocity setpoint as the autopilot understood it, in body axes or NED; yaw_rate None: turn to the course."""
 
     t_s: float
     x_m_s: float
@@ -47,17 +51,31 @@ class Command:
     body: bool
 
 
+class Guidance(Enum):
+    """What steers the vehicle in a flight mode."""
+
+    STAY = auto()
+    CLIMB = auto()
+    LAND = auto()
+    RETURN = auto()
+    STICKS = auto()
+    VELOCITY = auto()
+
+
 @dataclass(frozen=True, slots=True)
 class AutopilotMode:
-    """A flight mode: its numbers in DO_SET_MODE (main and sub, or the one of ArduPilot) and what flies it."""
+    """A flight mode: its numbers in DO_SET_MODE (main and sub, or ArduPilot's one) and what steers in it."""
 
     number: int
     sub: int
-    guidance: str
+    guidance: Guidance
 
 
 class AutopilotCore(ABC):
-    """One autopilot in charge of one vehicle: on the ground in its first mode, or hovering when it starts aloft."""
+    """One autopilot flying one vehicle: on the ground in its first mode, or hovering if it starts in the air.
+
+    `firmware` selects the names, units and defaults of its parameters.
+    """
 
     autopilot: ClassVar[Autopilot]
     modes: ClassVar[Mapping[str, AutopilotMode]]
@@ -66,19 +84,32 @@ class AutopilotCore(ABC):
     land_mode: ClassVar[str] = "LAND"
     return_mode: ClassVar[str] = "RTL"
 
-    def __init__(self, vehicle: Vehicle):
+    def __init__(self, vehicle: Vehicle, firmware: str = ""):
         motion = vehicle.motion
         self.vehicle = vehicle
-        self.parameters = dict(DEFAULTS[self.autopilot])
+        self.parameters = defaults(self.autopilot, firmware)
         self.armed = not motion.landed
         self.mode = self.ground_mode if motion.landed else self.stay_mode
         self.home = (motion.north_m, motion.east_m)
         self.battery = 1.0  # of full
-        self.texts: list[str] = []  # what the autopilot says, oldest first; whoever reads it empties it
-        self.sticks: tuple[float, float, float, float] | None = None  # pitch, roll, down, yaw in -1..1; None: no RC
+        self.texts: list[str] = []  # STATUSTEXTs to be sent, oldest first; the sender empties it
+        self.resting_sticks: Sticks | None = None  # of a remote control that nobody moves; None: it has none
+        self.sticks: Sticks | None = None  # None: no remote control
         self.switches: tuple[int, ...] = ()  # PWM of RC channels 5 and up, microseconds, NO_PWM for none
-        self._sticks_end_s = math.inf  # forgotten then, unless they are told anew
+        self._sticks_end_s = math.inf  # MAVLink sticks are dropped then, unless repeated
         self.command: Command | None = None  # the setpoint that is obeyed in OFFBOARD or GUIDED
+        self.datum_down_m = 0.0  # where the estimator's z = 0 lies, against the ground where it booted
+        self.jump_ned_m = (0.0, 0.0, 0.0)  # how far its resets have moved its position so far
+        self.resets = 0
+        self.rangefinder_m = 0.0  # range of a rangefinder that looks down; 0: it has none
+        self._guides: dict[Guidance, Callable[[], Setpoint]] = {
+            Guidance.STAY: self._guide_stay,
+            Guidance.CLIMB: self._guide_climb,
+            Guidance.LAND: self._guide_land,
+            Guidance.RETURN: self._guide_return,
+            Guidance.STICKS: self._guide_sticks,
+            Guidance.VELOCITY: self._guide_velocity,
+        }
         self.ground_station_t_s = NEVER
         self.t_s = motion.t_s
         self._armed_t_s = motion.t_s
@@ -88,8 +119,24 @@ class AutopilotCore(ABC):
         self.beyond_fence = False
         self._battery_told = False
 
+    @property
+    def has_remote(self) -> bool:
+        """Whether it knows a remote control, lost or not."""
+        return self.resting_sticks is not None or self.sticks is not None
+
+    def believed_ned_m(self) -> tuple[float, float, float]:
+        """The position as the estimator has it, local NED."""
+        motion, (north, east, down) = self.vehicle.motion, self.jump_ned_m
+        return motion.north_m + north, motion.east_m + east, motion.down_m + self.datum_down_m + down
+
+    def reset_estimate(self, north_m: float, east_m: float, down_m: float) -> None:
+        """The estimator moves its position at once, as after a GPS or barometer glitch."""
+        north, east, down = self.jump_ned_m
+        self.jump_ned_m = north + north_m, east + east_m, down + down_m
+        self.resets += 1
+
     def advance(self, t_s: float) -> None:
-        """Fly on until `t_s`."""
+        """Fly until `t_s`."""
         while self.t_s < t_s - 1e-9:
             dt_s = min(STEP_S, t_s - self.t_s)
             self.t_s += dt_s
@@ -107,12 +154,12 @@ class AutopilotCore(ABC):
             self._point = (motion.north_m, motion.east_m, motion.down_m)
 
     def ask_mode(self, number: int, sub: int) -> list[Result]:
-        """Somebody asks for a mode by its numbers; the results to acknowledge with, in order."""
+        """A mode is requested by its numbers; returns the results to acknowledge with, in order."""
         name = next((name for name, mode in self.modes.items() if (mode.number, mode.sub) == (number, sub)), None)
         return [Result.DENIED] if name is None else self._change(name)
 
     def arm(self) -> Result:
-        """Start the motors."""
+        """Start the motors, unless a check forbids it."""
         if not self.armed:
             if reason := self._refusal_to_arm():
                 self.texts.append(reason)
@@ -123,22 +170,22 @@ class AutopilotCore(ABC):
         return Result.ACCEPTED
 
     def disarm(self, force: bool = False) -> Result:
-        """Stop the motors; in flight only by force."""
+        """Stop the motors; in flight only with `force`."""
         if not self.vehicle.motion.landed and not force:
             return Result.FAILED if self.autopilot is Autopilot.ARDUPILOT else Result.TEMPORARILY_REJECTED
         self.armed = False
         return Result.ACCEPTED
 
     def take_sticks(self, axes: Sequence[float | None], switches: tuple[int, ...]) -> None:
-        """Sticks from afar: pitch, roll, down, yaw, kept within -1..1; one that is not there (None) rests."""
+        """Sticks over MAVLink: pitch, roll, down, yaw, clipped to -1..1; a missing axis (None) is at rest."""
         pitch, roll, down, yaw = (0.0 if axis is None else max(-1.0, min(1.0, axis)) for axis in axes)
-        self.sticks = None if all(axis is None for axis in axes) else (pitch, roll, down, yaw)
+        self.sticks = self.resting_sticks if all(axis is None for axis in axes) else (pitch, roll, down, yaw)
         self.switches = switches
         self._sticks_end_s = self.t_s + self._sticks_last_s()
 
     @property
     def is_landing(self) -> bool:
-        """In the air, on the way down to the ground."""
+        """Whether it is in the air and descending to the ground."""
         mode = self.mode
         down = mode == self.land_mode or (mode == self.return_mode and self._is_above_home())
         return down and not self.vehicle.motion.landed
@@ -150,12 +197,18 @@ class AutopilotCore(ABC):
 
     @abstractmethod
     def take_setpoint(self, frame: int, mask: int, velocity: tuple[float, float, float], yaw_rate: float) -> None:
-        """A velocity setpoint arrived."""
+        """Use a velocity setpoint."""
         ...
 
     @abstractmethod
     def take_off(self, height_m: float) -> Result:
         """Climb to `height_m` above home."""
+        ...
+
+    @property
+    @abstractmethod
+    def charge_state(self) -> int:
+        """MAV_BATTERY_CHARGE_STATE by the failsafe levels: 1 OK, 2 low, 3 critical, 4 emergency."""
         ...
 
     @abstractmethod
@@ -165,10 +218,10 @@ class AutopilotCore(ABC):
     def _refusal_to_arm(self) -> str: ...
 
     def _watch(self) -> None:
-        """Look for what changes without being asked: sticks, landing, fence, battery; the rules add theirs."""
+        """React to sticks, landing, fence and battery; the rules add theirs."""
         motion = self.vehicle.motion
         if self.t_s > self._sticks_end_s:
-            self.sticks, self.switches, self._sticks_end_s = None, (), math.inf
+            self.sticks, self.switches, self._sticks_end_s = self.resting_sticks, (), math.inf
         if self.armed and motion.landed and self._idle_s() > self._idle_limit_s():
             self.armed = False
         outside = self.armed and self._outside_fence(self._from_home_m(), -motion.down_m)
@@ -194,7 +247,7 @@ class AutopilotCore(ABC):
 
     @abstractmethod
     def _sticks_last_s(self) -> float:
-        """So long sticks that come over MAVLink are believed without a new message."""
+        """Timeout of sticks that come over MAVLink."""
         ...
 
     @abstractmethod
@@ -212,10 +265,10 @@ class AutopilotCore(ABC):
     @abstractmethod
     def _battery_mode(self) -> str | None: ...
 
-    # Guidance: each gives the setpoint of this moment
+    # Guidance: the setpoint of this moment
 
     def _guide(self) -> Setpoint:
-        return getattr(self, f"_guide_{self.modes[self.mode].guidance}")()
+        return self._guides[self.modes[self.mode].guidance]()
 
     def _guide_stay(self) -> Setpoint:
         return self._toward(self._point, 5.0)
@@ -237,13 +290,13 @@ class AutopilotCore(ABC):
 
     def _guide_return(self) -> Setpoint:
         if self._is_above_home():
-            self._point = (*self.home, self.vehicle.motion.down_m)  # a gust aside stops the descent and no more
+            self._point = (*self.home, self.vehicle.motion.down_m)  # a gust sideways interrupts the descent
             return self._guide_land()
         return self._toward((*self.home, self._point[2]), 5.0)
 
     def _guide_sticks(self) -> Setpoint:
         if self.sticks is None:
-            return Setpoint(down_m_s=SINK_M_S)
+            return Setpoint(down_m_s=PX4_SINK_M_S)
         pitch, roll, down, yaw = self.sticks
         if max(abs(pitch), abs(roll), abs(down), abs(yaw)) < 0.1:
             return self._toward(self._point, 5.0)
@@ -266,7 +319,7 @@ class AutopilotCore(ABC):
         return Setpoint(forward, right, command.down_m_s, yaw_rate)
 
     def _toward(self, point: tuple[float, float, float], speed_m_s: float) -> Setpoint:
-        """The velocity that brings the vehicle to a place, local NED."""
+        """The velocity that brings the vehicle to a point, local NED."""
         motion = self.vehicle.motion
         offset = (point[0] - motion.north_m, point[1] - motion.east_m, point[2] - motion.down_m)
         north, east, down = (POSITION_GAIN_PER_S * part for part in offset)

@@ -1,11 +1,13 @@
-"""The parameters of the simulated autopilots: those that the simulated flight obeys, and those that it only reports,
-because `follow doctor` and ground stations ask for them.  Names, types and defaults are those of PX4 1.16 and
-ArduCopter 4.7.
+"""The parameters of the simulated autopilots, with the names, types, units and defaults of each firmware version.
+
+OBEYED ones change the simulated flight; REPORTED ones only answer `follow doctor` and ground stations.
 """
 
 from follow.messages import Autopilot
 
-OBEYED: dict[Autopilot, dict[str, float | int]] = {
+Table = dict[str, float | int]
+
+OBEYED: dict[Autopilot, Table] = {
     Autopilot.PX4: {
         "COM_OF_LOSS_T": 1.0,  # s
         "COM_OBL_RC_ACT": 0,  # 0 position, 3 return, 4 land, 5 hold
@@ -20,7 +22,9 @@ OBEYED: dict[Autopilot, dict[str, float | int]] = {
         "GF_MAX_HOR_DIST": 0.0,  # m, 0 off
         "GF_MAX_VER_DIST": 0.0,  # m, 0 off
         "MIS_TAKEOFF_ALT": 2.5,  # m
-        "BAT_CRIT_THR": 0.07,  # of full
+        "BAT_LOW_THR": 0.15,  # of full
+        "BAT_CRIT_THR": 0.07,
+        "BAT_EMERGEN_THR": 0.05,
     },
     Autopilot.ARDUPILOT: {
         "GUID_TIMEOUT": 3.0,  # s
@@ -37,10 +41,11 @@ OBEYED: dict[Autopilot, dict[str, float | int]] = {
     },
 }
 
-# Reported, not obeyed: whatever they are set to, the flight stays the same
-REPORTED: dict[Autopilot, dict[str, float | int]] = {
+REPORTED: dict[Autopilot, Table] = {
     Autopilot.PX4: {
         "COM_FAIL_ACT_T": 5.0,  # s
+        "COM_RC_IN_MODE": 3,
+        "COM_RCL_EXCEPT": 0,
         "NAV_RCL_ACT": 2,
         "MPC_TKO_SPEED": 1.5,  # m/s
         "MPC_LAND_SPEED": 0.7,  # m/s
@@ -53,16 +58,64 @@ REPORTED: dict[Autopilot, dict[str, float | int]] = {
     Autopilot.ARDUPILOT: {
         "GUID_OPTIONS": 0,
         "FS_OPTIONS": 16,
+        "FS_THR_ENABLE": 1,
+        "FS_EKF_ACTION": 1,
+        "BATT_FS_CRT_ACT": 0,
+        "AVOID_ENABLE": 3,
+        "ATC_SLEW_YAW": 6000.0,  # cdeg/s
+        "SIM_SPEEDUP": 1.0,
+        "WP_ACC": 2.5,  # m/s2
+        "WP_SPD": 10.0,  # m/s
+        "PSC_NE_JERK": 5.0,  # m/s3
+        "RTL_ALT_M": 15.0,  # m
+        "LAND_SPD_MS": 0.5,  # m/s
+        "ATC_ANGLE_MAX": 30.0,  # deg
+        "MAV_SYSID": 1,
+        "MAV_GCS_SYSID": 255,
+    },
+}
+
+FIRMWARES: dict[Autopilot, tuple[str, ...]] = {
+    Autopilot.PX4: ("1.14", "1.16", "1.18"),
+    Autopilot.ARDUPILOT: ("4.5", "4.7"),
+}
+DEFAULT_FIRMWARE = {Autopilot.PX4: "1.16", Autopilot.ARDUPILOT: "4.7"}
+
+# What a version lacks of the tables above, and what it has in addition
+LACKS: dict[tuple[Autopilot, str], tuple[str, ...]] = {
+    (Autopilot.PX4, "1.18"): ("COM_RC_OVERRIDE", "COM_RC_STICK_OV"),
+    (Autopilot.ARDUPILOT, "4.5"): (
+        "WP_ACC",
+        "WP_SPD",
+        "PSC_NE_JERK",
+        "RTL_ALT_M",
+        "LAND_SPD_MS",
+        "ATC_ANGLE_MAX",
+        "MAV_SYSID",
+        "MAV_GCS_SYSID",
+    ),
+}
+ADDS: dict[tuple[Autopilot, str], Table] = {
+    (Autopilot.PX4, "1.18"): {"MAN_OVERRIDE_SPD": 1.0},  # stick travel a second, 1/s; negative: off
+    (Autopilot.ARDUPILOT, "4.5"): {
         "WPNAV_ACCEL": 250.0,  # cm/s2
         "WPNAV_SPEED": 1000.0,  # cm/s
         "PSC_JERK_XY": 5.0,  # m/s3
-        "ATC_SLEW_YAW": 6000.0,  # cdeg/s
         "RTL_ALT": 1500,  # cm
         "LAND_SPEED": 50,  # cm/s
+        "ANGLE_MAX": 3000,  # cdeg
         "SYSID_THISMAV": 1,
         "SYSID_MYGCS": 255,
     },
 }
 
-DEFAULTS = {autopilot: OBEYED[autopilot] | REPORTED[autopilot] for autopilot in Autopilot}
-"""All of them, as each is at the start."""
+
+def defaults(autopilot: Autopilot, firmware: str = "") -> Table:
+    """The parameters of a firmware version as each is at the start; raises ValueError for an unknown version."""
+    firmware = firmware or DEFAULT_FIRMWARE[autopilot]
+    if firmware not in FIRMWARES[autopilot]:
+        known = ", ".join(FIRMWARES[autopilot])
+        raise ValueError(f"the firmware of {autopilot.value} must be one of {known}, not {firmware!r}")
+    lacks = LACKS.get((autopilot, firmware), ())
+    table = {name: value for name, value in (OBEYED[autopilot] | REPORTED[autopilot]).items() if name not in lacks}
+    return table | ADDS.get((autopilot, firmware), {})

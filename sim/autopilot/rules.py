@@ -1,46 +1,47 @@
-"""Where PX4 1.16 and ArduCopter 4.7 differ, as measured on both over MAVLink with 20 setpoints a second."""
+"""Where PX4 and ArduCopter differ, as measured on PX4 1.16 and ArduCopter 4.7 over MAVLink, 20 setpoints a second."""
 
 import math
 from typing import ClassVar
 
-from follow.messages import NEVER, Autopilot
-from sim.autopilot.core import AutopilotCore, AutopilotMode, Command, Result
+from follow.link.flight_modes import STREAM_TIMEOUT_S
+from follow.messages import NEVER, Autopilot, Setpoint
+from sim.autopilot.core import AutopilotCore, AutopilotMode, Command, Guidance, Result
 from sim.dynamics import Vehicle
 
 LOCAL_NED, LOCAL_OFFSET_NED, BODY_NED, BODY_OFFSET_NED = 1, 7, 8, 9
 VELOCITY_BITS = 0b111 << 3
 YAW_RATE_BIT = 1 << 11
-STREAM_SLACK_S = 0.15  # PX4: kept OFFBOARD at 1.2 Hz, flapped at 0.8 Hz, braked 1.1-1.4 s after the last setpoint
-STREAM_RECENT_S = 0.5  # PX4: OFFBOARD needs setpoints at more than 2 Hz; its firmware is content with a fresh one
+STREAM_SLACK_S = STREAM_TIMEOUT_S[Autopilot.PX4] - 1.0  # PX4 reacts this much later than COM_OF_LOSS_T (default 1.0)
+STREAM_RECENT_S = 0.5  # PX4: OFFBOARD needs setpoints at more than 2 Hz; here one recent setpoint is enough
 STICKS_LAST_S = 0.5  # PX4: COM_RC_LOSS_T's default
 
 
 class Px4Flight(AutopilotCore):
-    """PX4 1.16, multicopter."""
+    """PX4, multicopter."""
 
     autopilot = Autopilot.PX4
     modes: ClassVar = {
-        "MANUAL": AutopilotMode(1, 0, "sticks"),
-        "ALTCTL": AutopilotMode(2, 0, "sticks"),
-        "POSCTL": AutopilotMode(3, 0, "sticks"),
-        "TAKEOFF": AutopilotMode(4, 2, "climb"),
-        "HOLD": AutopilotMode(4, 3, "stay"),
-        "MISSION": AutopilotMode(4, 4, "stay"),
-        "RTL": AutopilotMode(4, 5, "return"),
-        "LAND": AutopilotMode(4, 6, "land"),
-        "OFFBOARD": AutopilotMode(6, 0, "velocity"),
-        "STABILIZED": AutopilotMode(7, 0, "sticks"),
+        "MANUAL": AutopilotMode(1, 0, Guidance.STICKS),
+        "ALTCTL": AutopilotMode(2, 0, Guidance.STICKS),
+        "POSCTL": AutopilotMode(3, 0, Guidance.STICKS),
+        "TAKEOFF": AutopilotMode(4, 2, Guidance.CLIMB),
+        "HOLD": AutopilotMode(4, 3, Guidance.STAY),
+        "MISSION": AutopilotMode(4, 4, Guidance.STAY),
+        "RTL": AutopilotMode(4, 5, Guidance.RETURN),
+        "LAND": AutopilotMode(4, 6, Guidance.LAND),
+        "OFFBOARD": AutopilotMode(6, 0, Guidance.VELOCITY),
+        "STABILIZED": AutopilotMode(7, 0, Guidance.STICKS),
     }
     ground_mode = "HOLD"
     stay_mode = "HOLD"
     LOSS_MODES: ClassVar = {0: "POSCTL", 1: "ALTCTL", 2: "STABILIZED", 3: "RTL", 4: "LAND", 5: "HOLD"}
 
-    def __init__(self, vehicle: Vehicle):
-        super().__init__(vehicle)
-        self._lost_stream = False  # in the failsafe of a lost stream: OFFBOARD is still what the user wants
+    def __init__(self, vehicle: Vehicle, firmware: str = ""):
+        super().__init__(vehicle, firmware)
+        self._lost_stream = False  # in the failsafe of a lost stream: OFFBOARD is still the user's intention
 
     def take_setpoint(self, frame: int, mask: int, velocity: tuple[float, float, float], yaw_rate: float) -> None:
-        """Frames 1 and 8 only: a setpoint in another is as good as none."""
+        """Frames 1 and 8 only: a setpoint in another frame is ignored."""
         if frame not in (LOCAL_NED, BODY_NED):
             return
         usable = not mask & VELOCITY_BITS and all(map(math.isfinite, velocity))
@@ -52,7 +53,7 @@ class Px4Flight(AutopilotCore):
             super().enter("OFFBOARD")
 
     def enter(self, mode: str) -> None:
-        """Change the mode now; a failsafe of a lost stream is over."""
+        """Change the mode now; this ends the failsafe of a lost stream."""
         self._lost_stream = False
         super().enter(mode)
 
@@ -63,7 +64,7 @@ class Px4Flight(AutopilotCore):
         return Result.ACCEPTED
 
     def _change(self, name: str) -> list[Result]:
-        """Two answers, the first always ACCEPTED; the second tells."""
+        """Two ACKs: the first is always ACCEPTED, the second is the result."""
         command = self.command
         streaming = command is not None and self.t_s - command.t_s < STREAM_RECENT_S
         if name == "OFFBOARD" and not streaming:
@@ -83,19 +84,34 @@ class Px4Flight(AutopilotCore):
             self.texts.append("Offboard control lost")
             self.enter(self.LOSS_MODES.get(int(self.parameters["COM_OBL_RC_ACT"]), "LAND"))
             self._lost_stream = True
-        share = max(map(abs, self.sticks)) if self.sticks else 0.0
-        if 100.0 * share > self.parameters["COM_RC_STICK_OV"]:
-            offboard = self.mode == "OFFBOARD" and int(self.parameters["COM_RC_OVERRIDE"]) & 2
-            auto = self.modes[self.mode].number == 4 and int(self.parameters["COM_RC_OVERRIDE"]) & 1
-            if self.armed and (offboard or auto):
-                self.texts.append("Pilot took over using sticks")
-                self.enter("POSCTL")
+        if self.armed and self._sticks_take_over():
+            self.texts.append("Pilot took over using sticks")
+            self.enter("POSCTL")
         action = int(self.parameters["NAV_DLL_ACT"])
         silent_s = self.t_s - self.ground_station_t_s
         if self.armed and action and float(self.parameters["COM_DL_LOSS_T"]) < silent_s < math.inf:
             self.ground_station_t_s = NEVER
             self.texts.append("GCS connection lost")
             self.enter({1: "HOLD", 2: "RTL"}.get(action, "LAND"))
+
+    def _sticks_take_over(self) -> bool:
+        """Up to 1.17 COM_RC_OVERRIDE allows it in OFFBOARD (bit 1) and automatic modes (bit 0), since then the sign of
+        MAN_OVERRIDE_SPD in both.
+        """
+        deflection = max(map(abs, self.sticks)) if self.sticks else 0.0
+        if "MAN_OVERRIDE_SPD" in self.parameters:
+            allowed, threshold = (3 if self.parameters["MAN_OVERRIDE_SPD"] >= 0.0 else 0), 30.0
+        else:
+            allowed, threshold = int(self.parameters["COM_RC_OVERRIDE"]), self.parameters["COM_RC_STICK_OV"]
+        offboard = self.mode == "OFFBOARD" and allowed & 2
+        auto = self.modes[self.mode].number == 4 and allowed & 1
+        return 100.0 * deflection > threshold and bool(offboard or auto)
+
+    @property
+    def charge_state(self) -> int:
+        """By BAT_LOW_THR, BAT_CRIT_THR and BAT_EMERGEN_THR."""
+        levels = (self.parameters[name] for name in ("BAT_LOW_THR", "BAT_CRIT_THR", "BAT_EMERGEN_THR"))
+        return 1 + sum(self.battery < level for level in levels)
 
     def _sticks_last_s(self) -> float:
         return STICKS_LAST_S
@@ -119,30 +135,30 @@ class Px4Flight(AutopilotCore):
 
 
 class ArduCopterFlight(AutopilotCore):
-    """ArduCopter 4.7."""
+    """ArduCopter."""
 
     autopilot = Autopilot.ARDUPILOT
     modes: ClassVar = {
-        "STABILIZE": AutopilotMode(0, 0, "sticks"),
-        "ALT_HOLD": AutopilotMode(2, 0, "sticks"),
-        "AUTO": AutopilotMode(3, 0, "stay"),
-        "GUIDED": AutopilotMode(4, 0, "guided"),
-        "LOITER": AutopilotMode(5, 0, "stay"),
-        "RTL": AutopilotMode(6, 0, "return"),
-        "LAND": AutopilotMode(9, 0, "land"),
-        "POSHOLD": AutopilotMode(16, 0, "stay"),
-        "BRAKE": AutopilotMode(17, 0, "stay"),
+        "STABILIZE": AutopilotMode(0, 0, Guidance.STICKS),
+        "ALT_HOLD": AutopilotMode(2, 0, Guidance.STICKS),
+        "AUTO": AutopilotMode(3, 0, Guidance.STAY),
+        "GUIDED": AutopilotMode(4, 0, Guidance.VELOCITY),
+        "LOITER": AutopilotMode(5, 0, Guidance.STAY),
+        "RTL": AutopilotMode(6, 0, Guidance.RETURN),
+        "LAND": AutopilotMode(9, 0, Guidance.LAND),
+        "POSHOLD": AutopilotMode(16, 0, Guidance.STAY),
+        "BRAKE": AutopilotMode(17, 0, Guidance.STAY),
     }
     ground_mode = "STABILIZE"
     stay_mode = "LOITER"
 
-    def __init__(self, vehicle: Vehicle):
-        super().__init__(vehicle)
+    def __init__(self, vehicle: Vehicle, firmware: str = ""):
+        super().__init__(vehicle, firmware)
         self._climbing = False
         self._broken = False  # an internal error: no arming until a restart
 
     def take_setpoint(self, frame: int, mask: int, velocity: tuple[float, float, float], yaw_rate: float) -> None:
-        """Frames 1, 7, 8 and 9; any other stops the vehicle.  Only GUIDED listens, and only in the air."""
+        """Frames 1, 7, 8 and 9; any other stops the vehicle.  Only in GUIDED, and only in the air."""
         if self.mode != "GUIDED" or self.vehicle.motion.landed:
             return
         if not all(map(math.isfinite, (*velocity, yaw_rate))):
@@ -153,12 +169,12 @@ class ArduCopterFlight(AutopilotCore):
         x, y, down = velocity if known and not mask & VELOCITY_BITS else (0.0, 0.0, 0.0)
         turning = yaw_rate if known else 0.0
         if known and mask & YAW_RATE_BIT:
-            turning = None  # it turns toward its course
+            turning = None  # turn to the course
         self.command = Command(self.t_s, x, y, down, turning, frame in (BODY_NED, BODY_OFFSET_NED))
         self._climbing = False
 
     def enter(self, mode: str) -> None:
-        """Change the mode now, forgetting what was commanded in the last one."""
+        """Change the mode now and drop the last mode's setpoint."""
         if mode != self.mode:
             self.command = None
             self._climbing = False
@@ -172,17 +188,17 @@ class ArduCopterFlight(AutopilotCore):
         self._climbing = True
         return Result.ACCEPTED
 
-    def _guide_guided(self):
-        return self._guide_climb() if self._climbing else self._guide_velocity()
+    def _guide_velocity(self) -> Setpoint:
+        return self._guide_climb() if self._climbing else super()._guide_velocity()
 
     def _climbed(self) -> None:
-        """It stays in GUIDED, where it is."""
+        """It stays in GUIDED and keeps its position."""
         self._climbing = False
         north, east, _ = self._point
         self._point = (north, east, -self._climb_to_m)
 
     def _change(self, name: str) -> list[Result]:
-        """One answer, and the mode at once."""
+        """One ACK, and the mode changes at once."""
         self.enter(name)
         return [Result.ACCEPTED]
 
@@ -219,6 +235,11 @@ class ArduCopterFlight(AutopilotCore):
 
     def _fence_mode(self) -> str | None:
         return {1: "RTL", 2: "LAND", 4: "BRAKE"}.get(int(self.parameters["FENCE_ACTION"]))
+
+    @property
+    def charge_state(self) -> int:
+        """Low below a tenth, where the voltage of this battery falls to BATT_LOW_VOLT under load."""
+        return 2 if self._battery_low() else 1
 
     def _battery_low(self) -> bool:
         return self.battery < 0.1

@@ -1,30 +1,33 @@
 """A simulated autopilot as a MAVLink system, without I/O: bytes in, time on, bytes out.
 
-It has one or more links (an application's, a ground station's); each has its own message intervals, and what is
-meant for others is passed on between them, as PX4 and ArduPilot do.
+It has one or more links (an application's, a ground station's), each with its own message intervals.  Messages for
+others are forwarded between the links, as PX4 and ArduPilot do.
 """
 
 import math
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any, ClassVar
 
 from pymavlink.dialects.v20 import common as dialect
 
 from follow.link.signing import UNITS_PER_S
 from follow.messages import Autopilot
 from sim.autopilot.core import NO_PWM, AutopilotCore, Result
+from sim.autopilot.parameters import DEFAULT_FIRMWARE
 from sim.autopilot.rules import RULES
-from sim.autopilot.telemetry import ORIGINS, REPORTS, UNASKED_HZ, Message
+from sim.autopilot.telemetry import ORIGINS, REPORTS, UNASKED_HZ, Message, autopilot_version
 from sim.dynamics import Vehicle
 
-FORCE = 21196  # MAV_CMD_COMPONENT_ARM_DISARM's magic number for "in flight, too"
+FORCE = 21196  # MAV_CMD_COMPONENT_ARM_DISARM's magic number for disarming in flight
 PARAMETER_TYPES = {
     Autopilot.PX4: {int: dialect.MAV_PARAM_TYPE_INT32, float: dialect.MAV_PARAM_TYPE_REAL32},
     Autopilot.ARDUPILOT: {int: dialect.MAV_PARAM_TYPE_INT16, float: dialect.MAV_PARAM_TYPE_REAL32},
 }
-NO_AXIS = 0x7FFF  # MANUAL_CONTROL: the remote control has no such stick
-KEEP, RELEASE = 0xFFFF, 0  # RC_CHANNELS_OVERRIDE: leave the channel as it is; give it back
-# What the old REQUEST_DATA_STREAM switches on, all groups together
+NO_AXIS = 0x7FFF  # MANUAL_CONTROL: this axis does not exist
+KEEP, RELEASE = 0xFFFF, 0  # RC_CHANNELS_OVERRIDE: leave the channel as it is; release it
+# The messages of the old REQUEST_DATA_STREAM, all groups together
 STREAMED = (
     dialect.MAVLINK_MSG_ID_SYS_STATUS,
     dialect.MAVLINK_MSG_ID_ATTITUDE,
@@ -38,7 +41,7 @@ STREAMED = (
 
 @dataclass(slots=True)
 class _Link:
-    """One way in and out: its codec, what is sent how often, who was heard on it."""
+    """One link: its codec, its message intervals, and the senders heard on it."""
 
     mav: dialect.MAVLink
     every_s: dict[int, float]
@@ -48,10 +51,10 @@ class _Link:
 
 
 class AutopilotSystem:
-    """An autopilot on `links` links.  `boot_s` is what its clock shows when the caller's shows 0.
+    """An autopilot on `links` links.  `boot_s` is its time since boot when the caller's clock shows 0.
 
-    `key` (32 bytes) makes it sign its packets and ignore those that are not signed with the same; their time begins
-    at `signing_time` (10 us since 2015) when the caller's clock shows 0.
+    With `key` (32 bytes) it signs its packets and ignores packets that are not signed with it; their timestamp is
+    `signing_time` (10 us since 2015) when the caller's clock shows 0.
     """
 
     def __init__(
@@ -62,8 +65,11 @@ class AutopilotSystem:
         boot_s: float = 100.0,
         key: bytes | None = None,
         signing_time: int = 0,
+        firmware: str = "",
     ):
-        self.flight: AutopilotCore = RULES[autopilot](vehicle)
+        self.flight: AutopilotCore = RULES[autopilot](vehicle, firmware)
+        self.firmware = firmware or DEFAULT_FIRMWARE[autopilot]
+        self.modes_asked: list[tuple[float, str, tuple[int, int]]] = []  # requests for a mode: time, mode then, sender
         self.t_s = self.flight.t_s
         self._boot_s = boot_s
         self._signing_time = signing_time
@@ -72,21 +78,19 @@ class AutopilotSystem:
         self._links = [_Link(self._codec(n, key), self._unasked()) for n in range(links)]
 
     def receive(self, data: bytes, link: int = 0) -> None:
-        """Take in bytes that arrived on one link."""
+        """Use bytes that arrived on one link."""
         way = self._links[link]
         for message in way.mav.parse_buffer(data) or ():
             if message.get_type() == "BAD_DATA" or message.get_type().startswith("UNKNOWN"):
                 continue
             source = message.get_srcSystem(), message.get_srcComponent()
             way.heard.add(source)
-            if self._is_for_us(message):
-                act = getattr(self, f"_on_{message.get_type().lower()}", None)
-                if act:
-                    act(message, way)
+            if self._is_for_us(message) and (act := self.HANDLERS.get(message.get_type())):
+                act(self, message, way)
             self._pass_on(message, way)
 
     def step(self, t_s: float) -> None:
-        """Fly on until `t_s` and queue the telemetry that is due."""
+        """Fly until `t_s` and queue the telemetry that is due."""
         self.flight.advance(t_s)
         self.t_s = t_s
         ardupilot = self.flight.autopilot is Autopilot.ARDUPILOT
@@ -94,10 +98,10 @@ class AutopilotSystem:
             signing = way.mav.signing
             signing.timestamp = max(signing.timestamp, self._signing_time + round(t_s * UNITS_PER_S))
             if ardupilot and self.flight.mode != self._told_mode:
-                way.due_t_s[dialect.MAVLINK_MSG_ID_HEARTBEAT] = t_s  # it tells a new mode at once
+                way.due_t_s[dialect.MAVLINK_MSG_ID_HEARTBEAT] = t_s  # it sends a new mode at once
             for number, every_s in way.every_s.items():
                 if t_s >= way.due_t_s.get(number, t_s) - 1e-9:
-                    self._send(way, REPORTS[number](self.flight, self._boot_time_s()))
+                    self._report(number, way)
                     way.due_t_s[number] = max(way.due_t_s.get(number, t_s) + every_s, t_s)
             for text in self.flight.texts:
                 severity = dialect.MAV_SEVERITY_CRITICAL
@@ -107,7 +111,7 @@ class AutopilotSystem:
         self.flight.texts.clear()
 
     def take(self, link: int = 0) -> list[bytes]:
-        """The packets to be sent now on one link; each is handed out once."""
+        """The packets to be sent now on one link; each is returned once."""
         way = self._links[link]
         out, way.out = way.out, []
         return out
@@ -128,6 +132,11 @@ class AutopilotSystem:
     def _boot_time_s(self) -> float:
         return self.t_s + self._boot_s
 
+    def _report(self, number: int, way: _Link) -> None:
+        """Send one message of telemetry; nothing where the flight has no such sensor."""
+        if message := REPORTS[number](self.flight, self._boot_time_s()):
+            self._send(way, message)
+
     def _send(self, way: _Link, message: Message) -> None:
         way.out.append(message.pack(way.mav))
         way.mav.seq = (way.mav.seq + 1) % 256
@@ -138,7 +147,7 @@ class AutopilotSystem:
         return system in (0, 1) and component in (0, dialect.MAV_COMP_ID_AUTOPILOT1)
 
     def _pass_on(self, message: Message, origin: _Link) -> None:
-        """Broadcasts go to every other link, the rest to where its addressee was heard."""
+        """Forward broadcasts to every other link, other messages to the link where their target was heard."""
         target = getattr(message, "target_system", 0), getattr(message, "target_component", 0)
         if target[0] and self._is_for_us(message):
             return
@@ -147,7 +156,7 @@ class AutopilotSystem:
             if way is not origin and known:
                 way.out.append(bytes(message.get_msgbuf()))
 
-    # What arrives
+    # Messages
 
     def _on_heartbeat(self, message: dialect.MAVLink_heartbeat_message, _way: _Link) -> None:
         if message.type == dialect.MAV_TYPE_GCS:
@@ -180,6 +189,7 @@ class AutopilotSystem:
         self.flight.take_sticks(axes, switches)
 
     def _on_set_mode(self, message: dialect.MAVLink_set_mode_message, _way: _Link) -> None:
+        self.modes_asked.append((self.t_s, self.flight.mode, (message.get_srcSystem(), message.get_srcComponent())))
         custom = message.custom_mode
         px4 = self.flight.autopilot is Autopilot.PX4
         self.flight.ask_mode(*((custom >> 16 & 0xFF, custom >> 24 & 0xFF) if px4 else (custom, 0)))
@@ -213,7 +223,7 @@ class AutopilotSystem:
             return
         kind = type(self.flight.parameters[name])
         value = message.param_value
-        if kind is int and self.flight.autopilot is Autopilot.PX4:  # an integer's four bytes in the place of a float's
+        if kind is int and self.flight.autopilot is Autopilot.PX4:  # PX4: an integer's four bytes as a float
             value = struct.unpack("<i", struct.pack("<f", value))[0]
         if not math.isfinite(value):
             return
@@ -240,12 +250,14 @@ class AutopilotSystem:
         self._obey(message, message.command, tuple(getattr(message, f"param{n}") for n in range(1, 8)), way)
 
     def _obey(self, message: Message, command: int, p: tuple[float, ...], way: _Link) -> None:
-        """Carry out one command and acknowledge it to its sender."""
+        """Execute one command and acknowledge it to its sender."""
         source = message.get_srcSystem(), message.get_srcComponent()
         if command in WHOLE and not math.isfinite(p[WHOLE[command]]):
             results = [Result.DENIED]
         else:
-            results = getattr(self, COMMANDS.get(command, "_unsupported"))(p, way)
+            if command == dialect.MAV_CMD_DO_SET_MODE:
+                self.modes_asked.append((self.t_s, self.flight.mode, source))
+            results = self.COMMANDS.get(command, AutopilotSystem._unsupported)(self, p, way)
         for result in results:
             self._send(way, dialect.MAVLink_command_ack_message(command, int(result), 0, 0, *source))
 
@@ -256,14 +268,14 @@ class AutopilotSystem:
         return [self.flight.arm() if p[0] == 1.0 else self.flight.disarm(force=p[1] == FORCE)]
 
     def _do_set_mode(self, p: tuple[float, ...], _way: _Link) -> list[Result]:
-        has_sub = self.flight.autopilot is Autopilot.PX4 and math.isfinite(p[2])  # NaN: a parameter that is not used
+        has_sub = self.flight.autopilot is Autopilot.PX4 and math.isfinite(p[2])  # NaN: not used
         sub = int(p[2]) if has_sub else 0
         return self.flight.ask_mode(int(p[1]), sub)
 
     def _take_off(self, p: tuple[float, ...], _way: _Link) -> list[Result]:
         height = p[6] if math.isfinite(p[6]) else 0.0
         if height and self.flight.autopilot is Autopilot.PX4:
-            height -= ORIGINS[Autopilot.PX4][2]  # PX4 takes it above the sea, ArduPilot above home
+            height -= ORIGINS[Autopilot.PX4][2]  # PX4: above sea level; ArduPilot: above home
         return [self.flight.take_off(height)]
 
     def _land(self, _p: tuple[float, ...], _way: _Link) -> list[Result]:
@@ -290,28 +302,48 @@ class AutopilotSystem:
         number = int(p[0])
         if number not in REPORTS:
             return [Result.UNSUPPORTED]
-        self._send(way, REPORTS[number](self.flight, self._boot_time_s()))
+        if number == dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION:
+            self._send(way, autopilot_version(self.flight.autopilot, self.firmware))
+        else:
+            self._report(number, way)
         return [Result.ACCEPTED]
 
     def _request_version(self, _p: tuple[float, ...], way: _Link) -> list[Result]:
         return self._request_message((dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION,), way)
 
+    HANDLERS: ClassVar[dict[str, Callable[["AutopilotSystem", Any, _Link], None]]] = {
+        "HEARTBEAT": _on_heartbeat,
+        "TIMESYNC": _on_timesync,
+        "SET_POSITION_TARGET_LOCAL_NED": _on_set_position_target_local_ned,
+        "MANUAL_CONTROL": _on_manual_control,
+        "RC_CHANNELS_OVERRIDE": _on_rc_channels_override,
+        "SET_MODE": _on_set_mode,
+        "REQUEST_DATA_STREAM": _on_request_data_stream,
+        "MISSION_REQUEST_LIST": _on_mission_request_list,
+        "PARAM_REQUEST_LIST": _on_param_request_list,
+        "PARAM_REQUEST_READ": _on_param_request_read,
+        "PARAM_SET": _on_param_set,
+        "COMMAND_INT": _on_command_int,
+        "COMMAND_LONG": _on_command_long,
+    }
+    """Message type -> the method that uses it."""
 
-COMMANDS = {
-    dialect.MAV_CMD_COMPONENT_ARM_DISARM: "_arm_disarm",
-    dialect.MAV_CMD_DO_SET_MODE: "_do_set_mode",
-    dialect.MAV_CMD_NAV_TAKEOFF: "_take_off",
-    dialect.MAV_CMD_NAV_LAND: "_land",
-    dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH: "_return",
-    dialect.MAV_CMD_SET_MESSAGE_INTERVAL: "_set_message_interval",
-    dialect.MAV_CMD_REQUEST_MESSAGE: "_request_message",
-    dialect.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: "_request_version",
-}
-"""Command -> the method that obeys it."""
+    COMMANDS: ClassVar[dict[int, Callable[["AutopilotSystem", tuple[float, ...], _Link], list[Result]]]] = {
+        dialect.MAV_CMD_COMPONENT_ARM_DISARM: _arm_disarm,
+        dialect.MAV_CMD_DO_SET_MODE: _do_set_mode,
+        dialect.MAV_CMD_NAV_TAKEOFF: _take_off,
+        dialect.MAV_CMD_NAV_LAND: _land,
+        dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH: _return,
+        dialect.MAV_CMD_SET_MESSAGE_INTERVAL: _set_message_interval,
+        dialect.MAV_CMD_REQUEST_MESSAGE: _request_message,
+        dialect.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: _request_version,
+    }
+    """Command -> the method that executes it."""
+
 
 WHOLE = {
     dialect.MAV_CMD_DO_SET_MODE: 1,
     dialect.MAV_CMD_SET_MESSAGE_INTERVAL: 0,
     dialect.MAV_CMD_REQUEST_MESSAGE: 0,
 }
-"""Command -> the place of the parameter that is a whole number, and so must be finite."""
+"""Command -> the index of the parameter that is an integer and so must be finite."""

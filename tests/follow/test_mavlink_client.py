@@ -20,7 +20,7 @@ def test_the_vehicle_is_found_and_its_state_is_the_vehicles(autopilot):
     pair = Pair(autopilot)
     pair.run(5.0)
     state, motion = pair.state, pair.system.flight.vehicle.motion
-    assert (state.autopilot, state.armed, state.landed) == (autopilot, True, False)
+    assert (state.autopilot, state.armed, state.in_air) == (autopilot, True, True)
     assert pair.t_s - state.attitude_t_s <= 0.1
     assert pair.t_s - state.position_t_s <= 0.1
     assert pair.t_s - state.heartbeat_t_s <= 1.1
@@ -134,7 +134,9 @@ def test_parameters_are_read_with_their_type(autopilot):
 
 @BOTH
 def test_a_pause_of_our_own_ends_in_hold_and_not_in_a_resumed_stream(autopilot):
-    pair = Pair(autopilot).fly()
+    pair = Pair(autopilot)
+    pair.system.flight.parameters.update({"COM_OBL_RC_ACT": 5} if autopilot is Autopilot.PX4 else {})
+    pair.fly()
     pair.setpoint = Setpoint(forward_m_s=1.0)
     pair.run(1.0)
     hang_s = 1.0
@@ -219,7 +221,9 @@ def test_garbage_between_packets_costs_no_packet(autopilot):
     noise = lambda packets: [p for packet in packets for p in (random.randbytes(40), packet)]  # noqa: E731
     pair.to_client = noise
     pair.run(3.0)
-    assert pair.client.heard.counts["HEARTBEAT"] == 3
+    clean = Pair(autopilot)
+    clean.run(3.0)
+    assert pair.client.heard.counts == clean.client.heard.counts
     assert pair.client.packets.unreadable > 1000
 
 

@@ -107,7 +107,7 @@ def test_a_false_beginning_in_a_datagram_does_not_hide_the_packet_behind_it():
 
 @pytest.mark.parametrize("baud", ["0123", "7", "99999999"])
 def test_a_speed_that_no_line_knows_is_named(baud):
-    with pytest.raises(RuntimeError, match="not a speed"):
+    with pytest.raises(RuntimeError, match="not a baud rate"):
         wire.open_transport(f"serial:/dev/null:{baud}")
 
 

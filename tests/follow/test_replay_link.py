@@ -7,7 +7,8 @@ import pytest
 
 from follow.camera.window import WindowCamera, cut
 from follow.geometry import Intrinsics
-from follow.link.replay import STREAM_TIMEOUT_S, ReplayLink
+from follow.link.flight_modes import STREAM_TIMEOUT_S
+from follow.link.replay import ReplayLink
 from follow.messages import HOVER, Autopilot, Frame, Setpoint
 from racf.box import Box
 

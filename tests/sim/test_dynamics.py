@@ -7,7 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from follow.messages import HOVER, Autopilot, Setpoint
-from sim.dynamics import ANSWERS, Vehicle, VehicleTruth, Wind
+from sim.dynamics import Vehicle, VehicleTruth, Wind
+from sim.measured import RESPONSES
 
 HIGH = VehicleTruth(down_m=-100.0)
 both = pytest.mark.parametrize("autopilot", list(Autopilot))
@@ -15,7 +16,7 @@ both = pytest.mark.parametrize("autopilot", list(Autopilot))
 
 def still(autopilot: Autopilot, start: VehicleTruth = HIGH, **more) -> Vehicle:
     """A vehicle that does not wander."""
-    return Vehicle(autopilot, start, answer=replace(ANSWERS[autopilot], drift_m_s=0.0), **more)
+    return Vehicle(autopilot, start, response=replace(RESPONSES[autopilot], drift_m_s=0.0), **more)
 
 
 def fly(vehicle: Vehicle, setpoint: Setpoint, seconds: float, dt: float = 0.05) -> list[VehicleTruth]:

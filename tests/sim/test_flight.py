@@ -5,11 +5,12 @@ import numpy as np
 import pytest
 
 from follow.geometry import Intrinsics
+from follow.link.flight_modes import MODES_OF, STREAM_TIMEOUT_S
 from follow.messages import HOVER, Autopilot, Setpoint
 from racf.box import Box
 from sim.camera import CameraSettings, FrameTruth, LiveFlight, SceneCamera
 from sim.dynamics import Vehicle, VehicleTruth
-from sim.link import PATIENCE_S, SimLink
+from sim.link import SimLink
 from sim.scenarios import SCENARIOS, build
 from sim.scene.rendering import Seen
 from sim.scene.world import GAITS, ActorPose, Kind, Leg, route
@@ -89,7 +90,7 @@ def test_the_link_flies_the_setpoint_and_tells_it(autopilot):
     state = link.state()
     assert state.body_velocity_m_s()[0] == pytest.approx(2.0, abs=0.3)
     assert state.in_control
-    assert state.mode == state.commanded_mode
+    assert state.mode == MODES_OF[state.autopilot].control
     assert state.attitude_t_s < state.t_s
 
 
@@ -99,7 +100,7 @@ def test_when_the_stream_stops_the_vehicle_flies_on_and_then_does_what_was_measu
     for _ in range(240):
         link.send(Setpoint(forward_m_s=2.0))
         link.advance(1 / 30)
-    patience = PATIENCE_S[autopilot]
+    patience = STREAM_TIMEOUT_S[autopilot]
     for _ in range(int(30 * (patience - 0.1))):
         link.send(None)
         link.advance(1 / 30)

@@ -23,6 +23,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from pymavlink.dialects.v20 import common as dialect
 
 from follow.camera import CameraError
 from follow.camera.video import open_replay
@@ -75,6 +76,8 @@ def mavlink_target() -> tuple[list[bytes], Target]:
         seeds += system.take()
     client = MavlinkClient()
     clock = [0.0]
+    fresh = dialect.MAVLink(None, 1, 1)
+    good = dialect.MAVLink_heartbeat_message(2, 12, 1, 0, 4, 3).pack(fresh)
 
     def hear(data: bytes) -> None:
         clock[0] += 0.01
@@ -87,6 +90,10 @@ def mavlink_target() -> tuple[list[bytes], Target]:
         if not all(math.isfinite(v) for v in numbers if isinstance(v, float)):
             raise AssertionError(f"a number that is not finite was believed: {state}")
         client.send_setpoint(Setpoint(), clock[0])
+        for _ in range(30):  # after garbage a stream needs up to one longest packet to find the next start
+            client.receive(good, clock[0])
+        if client.state(clock[0]).heartbeat_t_s != clock[0]:
+            raise AssertionError("a valid packet is no longer understood after it")
 
     return seeds, hear
 

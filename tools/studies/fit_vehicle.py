@@ -20,7 +20,8 @@ from scipy.optimize import least_squares
 
 from follow.geometry import ned_to_heading
 from follow.messages import Autopilot, Setpoint
-from sim.dynamics import ANSWERS, ResponseModel, Vehicle, VehicleTruth
+from sim.dynamics import Vehicle, VehicleTruth
+from sim.measured import RESPONSES, ResponseModel
 
 matplotlib.use("Agg")
 
@@ -50,13 +51,13 @@ def read(path: Path) -> dict[str, tuple[Setpoint, Setpoint, np.ndarray]]:
 
 
 def simulate(
-    autopilot: Autopilot, answer: ResponseModel, before: Setpoint, command: Setpoint, v0: np.ndarray
+    autopilot: Autopilot, response: ResponseModel, before: Setpoint, command: Setpoint, v0: np.ndarray
 ) -> np.ndarray:
     """The model's own row of COLUMNS[1:] at each T, from the measured velocity of the step's first sample."""
     start = VehicleTruth(
         down_m=-100.0, north_m_s=v0[0], east_m_s=v0[1], down_m_s=v0[2], yaw_rate_rad_s=before.yaw_rate_rad_s
     )
-    vehicle = Vehicle(autopilot, start, answer=replace(answer, drift_m_s=0.0))
+    vehicle = Vehicle(autopilot, start, response=replace(response, drift_m_s=0.0))
     rows = []
     for _ in T:
         m = vehicle.motion
@@ -66,42 +67,42 @@ def simulate(
     return np.array(rows)
 
 
-def curves(autopilot: Autopilot, answer: ResponseModel, steps: dict, labels: Iterable[str]) -> dict[str, np.ndarray]:
+def curves(autopilot: Autopilot, response: ResponseModel, steps: dict, labels: Iterable[str]) -> dict[str, np.ndarray]:
     """The model's curves of these steps."""
     out = {}
     for label in labels:
         before, command, measured = steps[label]
-        out[label] = simulate(autopilot, answer, before, command, measured[0, :3])
+        out[label] = simulate(autopilot, response, before, command, measured[0, :3])
     return out
 
 
 @dataclass(frozen=True)
 class Group:
-    """Parameters fitted together: paths into Answer with their bounds, the steps and the columns that show them."""
+    """Parameters fitted together: paths into ResponseModel with bounds, the steps and the columns that show them."""
 
     labels: tuple[str, ...]
     weights: dict[int, float]  # column of the curves: how much a unit of it counts
     bounds: dict[str, tuple[float, float]]
 
-    def start(self, answer: ResponseModel) -> np.ndarray:
-        """The parameters in `answer`, just inside their bounds."""
+    def start(self, response: ResponseModel) -> np.ndarray:
+        """The parameters in `response`, just inside their bounds."""
         low, high = np.array(list(self.bounds.values())).T
-        return np.clip([reach(answer, path) for path in self.bounds], low + 1e-6, high - 1e-6)
+        return np.clip([reach(response, path) for path in self.bounds], low + 1e-6, high - 1e-6)
 
-    def apply(self, answer: ResponseModel, values: np.ndarray) -> ResponseModel:
-        """`answer` with these parameters."""
+    def apply(self, response: ResponseModel, values: np.ndarray) -> ResponseModel:
+        """`response` with these parameters."""
         for path, value in zip(self.bounds, values, strict=True):
             head, _, tail = path.partition(".")
-            new = replace(getattr(answer, head), **{tail: float(value)}) if tail else float(value)
-            answer = replace(answer, **{head: new})
-        return answer
+            new = replace(getattr(response, head), **{tail: float(value)}) if tail else float(value)
+            response = replace(response, **{head: new})
+        return response
 
 
-def reach(answer: ResponseModel, path: str) -> float:
+def reach(response: ResponseModel, path: str) -> float:
     """The number at a dotted path."""
     for name in path.split("."):
-        answer = getattr(answer, name)
-    return answer
+        response = getattr(response, name)
+    return response
 
 
 GROUPS = (
@@ -143,24 +144,24 @@ GROUPS = (
 )
 
 
-def fit_group(autopilot: Autopilot, steps: dict, answer: ResponseModel, group: Group) -> ResponseModel:
+def fit_group(autopilot: Autopilot, steps: dict, response: ResponseModel, group: Group) -> ResponseModel:
     """Least squares over the parameters of one group."""
 
     def residual(values: np.ndarray) -> np.ndarray:
-        model = curves(autopilot, group.apply(answer, values), steps, group.labels)
+        model = curves(autopilot, group.apply(response, values), steps, group.labels)
         columns, weights = list(group.weights), list(group.weights.values())
         return np.concatenate([((model[k] - steps[k][2])[:, columns] * weights).ravel() for k in group.labels])
 
-    start = group.start(answer)
+    start = group.start(response)
     bounds = tuple(np.array(list(group.bounds.values())).T)
     # The dead time acts in whole substeps, so derivatives need a wide difference.
     scale = np.maximum(np.abs(start), 0.05)
-    return group.apply(answer, least_squares(residual, start, bounds=bounds, x_scale=scale, diff_step=0.05).x)
+    return group.apply(response, least_squares(residual, start, bounds=bounds, x_scale=scale, diff_step=0.05).x)
 
 
 def judge(data: dict) -> list[tuple[str, float, float, float]]:
     """Per step: label, the two autopilots' difference, and each model's error (RMS of body velocity, m/s)."""
-    model = {a: curves(a, ANSWERS[a], data[a], list(data[a])) for a in FILES}
+    model = {a: curves(a, RESPONSES[a], data[a], list(data[a])) for a in FILES}
     rows = []
     for label in data[Autopilot.PX4]:
         px4, ardupilot = (data[a][label][2][:, :3] for a in FILES)
@@ -226,7 +227,7 @@ def draw(data: dict, path: Path) -> None:
     for ax, (label, column) in zip(axes.flat, panels, strict=True):
         for autopilot, colour in colours.items():
             before, command, measured = data[autopilot][label]
-            model = simulate(autopilot, ANSWERS[autopilot], before, command, measured[0, :3])
+            model = simulate(autopilot, RESPONSES[autopilot], before, command, measured[0, :3])
             ax.plot(T, measured[:, column], color=colour, alpha=0.35, lw=2.5, label=f"{autopilot.value}, measured")
             ax.plot(T, model[:, column], color=colour, lw=1.2, ls="--", label=f"{autopilot.value}, model")
         ax.set_title(label, fontsize=9)
@@ -248,9 +249,9 @@ def main() -> None:
     if arguments.fit:
         for autopilot, steps in data.items():
             for group in GROUPS:
-                ANSWERS[autopilot] = fit_group(autopilot, steps, ANSWERS[autopilot], group)
+                RESPONSES[autopilot] = fit_group(autopilot, steps, RESPONSES[autopilot], group)
             print(autopilot.value, "wanders", wander(steps))
-            print(ANSWERS[autopilot])
+            print(RESPONSES[autopilot])
     print(f"| step | PX4 to ArduPilot | model to PX4 | model to ArduPilot |\n|{'---|' * 4}")
     for label, between, px4, ardupilot in judge(data):
         late = " (above)" if max(px4, ardupilot) > between else ""
