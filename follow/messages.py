@@ -57,7 +57,7 @@ class BatteryLevel(str, Enum):
 
 
 LANDED_AGE_S = 3.0
-"""`Landed` counts as unknown after this; it is asked for twice a second."""
+"""`Landed` counts as unknown after this; the link requests it twice a second."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ from pymavlink.dialects.v20 import common as dialect
 from follow.link import LinkError
 from follow.link.clock import VehicleClock
 from follow.link.flight_modes import MODES_OF, ModeNames, mode_params
-from follow.link.identity import Peer, Source
+from follow.link.identity import PeerAddress, Source
 from follow.link.mode_request import ModeRequest
 from follow.link.packets import Message, Packets
 from follow.link.rates import StreamRates
@@ -49,7 +49,7 @@ class MavlinkClient:
 
     def __init__(self, system_id: int | None = None, signing: Signing | None = None):
         self.packets = Packets(system_id or 1, COMPANION, signing)
-        self.peer = Peer()
+        self.peer = PeerAddress()
         self._signed = signing is not None
         self._vehicle = TelemetryDecoder(system_id)
         self._rates = StreamRates()

@@ -21,7 +21,7 @@ CONTESTED_S = 5.0
 
 
 @dataclass(slots=True)
-class Peer:
+class PeerAddress:
     """The address that speaks for the vehicle.  The first one is kept; an unsigned datagram never moves it.
 
     `strangers` holds every other address that claimed to be the vehicle, with the time of its last datagram.

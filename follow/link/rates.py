@@ -1,4 +1,4 @@
-"""Which messages the autopilot is asked to send, and how often."""
+"""Which messages we request from the autopilot, and how often."""
 
 from collections import Counter
 from dataclasses import dataclass, field
@@ -8,7 +8,7 @@ from pymavlink.dialects.v20 import common as dialect
 from follow.messages import NEVER, Autopilot
 
 CHECK_EVERY_S = 2.0  # long enough to count a few messages of the slowest required stream
-OPTIONAL_TIMES = 3  # a stream that not every autopilot has is asked for this often ...
+OPTIONAL_TIMES = 3  # a stream that not every autopilot has is requested this often ...
 OPTIONAL_AGAIN_S = 60.0  # ... and then again after this: the autopilot may have restarted
 
 REQUIRED: dict[str, float] = {
@@ -51,7 +51,7 @@ def number_of(name: str) -> int:
 class StreamRates:
     """Asks for each stream that brought less than half of its rate since the last look.
 
-    So a restarted autopilot, which has forgotten the rates, is asked again.
+    So it asks a restarted autopilot, which has forgotten the rates, again.
     """
 
     _looked_t_s: float = NEVER

@@ -215,7 +215,7 @@ class TelemetryDecoder:
             self.state = replace(self.state, above_home_t_s=measured_t_s, above_home_m=height_m)
 
     def _take_distance_sensor(self, message: dialect.MAVLink_distance_sensor_message, t_s: float) -> None:
-        """A rangefinder that looks down; a reading at its limits or marked invalid (quality 1) is none."""
+        """A rangefinder that looks down; a reading at its limits or of quality 1 is invalid."""
         inside = message.min_distance < message.current_distance < message.max_distance
         if message.orientation == dialect.MAV_SENSOR_ROTATION_PITCH_270 and inside and message.signal_quality != 1:
             upright = math.cos(self.state.roll_rad) * math.cos(self.state.pitch_rad)

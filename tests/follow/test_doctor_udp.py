@@ -23,7 +23,7 @@ PAIRS = [("px4", False), ("ardupilot", True)] + EVERY_PAIR * [("px4", True), ("a
 
 
 def doctor(link: str, out: Path) -> tuple[int, dict[str, str], str]:
-    """Exit status, the red lines as name -> what mends it, and all that was said."""
+    """Exit status, the red lines as name -> its fix, and the whole output."""
     call = [sys.executable, "-m", "follow.cli", "doctor", "--link", link, "--out", str(out)]
     done = subprocess.run(
         call, capture_output=True, text=True, timeout=120, check=False, env={**os.environ, "COLUMNS": "200"}
@@ -66,7 +66,7 @@ def test_the_doctor_is_red_at_defaults_and_green_after_the_commands_it_names(rul
             status, red, said = doctor(link, tmp_path)
             assert status == 1, said
             assert red.items() >= RED_AT_DEFAULTS[Autopilot(rules)].items(), said
-            with against_the_clock():  # its own speed and the link's rates are judged, too
+            with against_the_clock():  # its own speed and the link's rates are also judged
                 assert red.keys() == RED_AT_DEFAULTS[Autopilot(rules)].keys(), said
             for command in red.values():
                 typed(pilot, command)

@@ -125,7 +125,7 @@ def test_disk_room_is_told(tmp_path):
 
 
 class Slideshow:
-    """A camera that yields one grey picture again and again."""
+    """A camera that yields one grey frame again and again."""
 
     def __init__(self, count: int, period_s: float = 1 / 30, breaks: bool = False):
         self.frames_left, self.period_s, self.breaks = count, period_s, breaks

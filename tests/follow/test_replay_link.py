@@ -81,7 +81,7 @@ def test_a_vehicle_that_holds_its_place_still_turns_and_climbs():
 
 
 class Still:
-    """A camera that shows the same picture for ever."""
+    """A camera that shows the same image for ever."""
 
     def __init__(self, image):
         self.image = image

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from follow.messages import HOVER, NEVER, Estimate, Mode, Order, Setpoint, VehicleState
+from follow.messages import HOVER, NEVER, Estimate, Landed, Mode, Order, Setpoint, VehicleState
 from follow.safety.envelope import approach_speed, in_view, limit_closing_speed, limit_to_fence
 from follow.safety.gate import Gate, Limits, Safety, decide
 from follow.safety.ramps import VelocityRamp, YawRateRamp
@@ -22,6 +22,8 @@ def flying(t_s, **changes):
         attitude_t_s=t_s,
         position_t_s=t_s,
         heartbeat_t_s=t_s,
+        landed_t_s=t_s,
+        landed=Landed.IN_AIR,
         down_m=-20.0,
         in_control=True,
         armed=True,
@@ -198,7 +200,9 @@ def test_a_stall_while_engaging_ramps_to_zero_and_control_gained_in_it_waits_for
     assert fly(safety, 1.4, 0.1, HOVER)[-1].mode == "follow"
 
 
-@pytest.mark.parametrize("gone", [{"armed": False}, {"landed": True}])
+@pytest.mark.parametrize(
+    "gone", [{"armed": False}, {"landed": Landed.ON_GROUND}, {"landed": Landed.UNKNOWN}, {"landed_t_s": -5.0}]
+)
 def test_a_vehicle_that_is_not_in_the_air_ends_engaging_at_once(gone):
     (decision,) = fly(engaging(), 0.5, DT, HOVER, in_control=False, **gone)
     assert (decision.mode, decision.setpoint) == ("ended", None)

@@ -13,7 +13,7 @@ import random
 import sys
 import time
 
-from follow.messages import Decision, Estimate, Mode, Order, Setpoint, VehicleState
+from follow.messages import Decision, Estimate, Landed, Mode, Order, Setpoint, VehicleState
 from follow.safety.gate import Gate, Limits, decide
 
 WILD = (math.nan, math.inf, -math.inf, 1e308, -1e308, 5e-324, 0.0, -0.0, 1e9, -1e9)
@@ -52,6 +52,8 @@ def flight(rng: random.Random, rounds: int):
             down_m_s=number(rng, 2, wild),
             yaw_rate_rad_s=number(rng, 1, wild),
             in_control=control,
+            landed_t_s=t_s - age[2],
+            landed=Landed.IN_AIR,
             armed=rng.random() < 0.9999,
         )
         near = abs(number(rng, 15, wild))

@@ -110,7 +110,7 @@ def file_target(path: Path, read: Callable[[Path], object]) -> Target:
 
 
 def look(path: Path) -> None:
-    """Play the first pictures of a source."""
+    """Play the first frames of a source."""
     with open_replay(str(path), None, lambda _line: None) as camera:
         _ = camera.size
         for _frame in islice(camera.frames(), 5):

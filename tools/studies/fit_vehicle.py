@@ -4,7 +4,7 @@
 
 DATA holds `px4_1.16_sih_steps.csv` and `arducopter_4.7dev_sitl_steps.csv`, with one row per telemetry sample: time,
 step label, the command (body velocity, yaw rate), the measured body velocity, attitude and yaw rate.
-Without `--fit` it judges the numbers in the code; with it, it fits anew and prints them.
+Without `--fit` it judges the numbers in the code; with it, it fits them again and prints them.
 """
 
 import argparse
