@@ -6,14 +6,12 @@ A live source keeps only its newest picture; a thread at the edge reads it.  A d
 it came; a stream's that of its stamp, so that pictures which piled up on the way are not taken for new.
 """
 
-import itertools
 import os
 import re
 import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from statistics import median_low
 from types import TracebackType
 from typing import Protocol
 
@@ -25,8 +23,8 @@ from typing_extensions import Self
 from follow.camera import Camera, CameraError
 from follow.camera.stream_clock import StreamClock
 from follow.messages import Frame, Notify
+from racf.imagefolder import IMAGE_SUFFIXES, image_paths, positions
 
-IMAGE_SUFFIXES = frozenset({".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp"})
 FOLDER_FPS = 30.0  # image folders seldom say; the commonest rate of the published UAV sequences
 LONGEST_GAP_S = 10.0  # a longer hole in numbers or time stamps is a cut, not lost pictures
 DECODE_ATTEMPTS = 64  # failed reads in a row after which a file is taken to have ended: two seconds at 30 pictures/s
@@ -65,18 +63,13 @@ def open_replay(source: str, fps: float | None, report: Notify) -> ReplayCamera:
 
 def named_fps(folder: Path) -> float | None:
     """The rate that a folder's path tells, as in UAV123_10fps/building5; None where it tells none."""
-    told = re.findall(r"(?<![0-9])([1-9][0-9]{0,2}) ?fps", str(folder), re.IGNORECASE)
+    told = re.findall(r"(?<![0-9])([1-9][0-9]{0,2}) ?fps", str(folder.resolve()), re.IGNORECASE)
     return float(told[-1]) if told else None
 
 
 def is_live(source: str) -> bool:
     """Whether a source is a device (an index or /dev/...) or a stream (a URL), not a file."""
     return source.isdigit() or source.startswith("/dev/") or "://" in source
-
-
-def natural(path: Path) -> tuple[tuple[int, str], ...]:
-    """Sort key that puts 2.jpg before 10.jpg."""
-    return tuple((int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"([0-9]+)", path.name))
 
 
 class _Closing:
@@ -98,12 +91,12 @@ class ImageFolder(_Closing):
     """The images of a folder in natural order; a hole in their numbers is rounds without a picture."""
 
     def __init__(self, folder: Path, fps: float, report: Notify) -> None:
-        paths = sorted((p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES), key=natural)
+        paths = image_paths(folder)
         if not paths:
             raise CameraError(f"folder {folder} holds no images ({', '.join(sorted(IMAGE_SUFFIXES))})")
         self.fps = fps
         self._report = report
-        self._slots = dict(zip(_slots([p.stem for p in paths], int(LONGEST_GAP_S * fps)), paths, strict=True))
+        self._slots = dict(zip(positions(paths, int(LONGEST_GAP_S * fps)), paths, strict=True))
         self.rounds: int | None = max(self._slots) + 1
 
     @property
@@ -140,17 +133,6 @@ class ImageFolder(_Closing):
             else:
                 shape = image.shape
                 yield Frame(_bytes(image), n / self.fps, n)
-
-
-def _slots(stems: list[str], longest_gap: int) -> list[int]:
-    """Rounds of the named images: by their last number where that counts up by one with holes, else by order."""
-    ends = [re.search(r"([0-9]{1,18})$", stem) for stem in stems]
-    numbers = [int(end.group(1)) for end in ends if end]
-    steps = [after - before for before, after in itertools.pairwise(numbers)]
-    numbered = len(numbers) == len(stems) and all(1 <= step <= longest_gap for step in steps)
-    if numbered and (not steps or median_low(steps) == 1):
-        return [number - numbers[0] for number in numbers]
-    return list(range(len(stems)))
 
 
 class VideoFile(_Closing):

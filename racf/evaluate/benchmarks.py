@@ -21,8 +21,8 @@ from pathlib import Path
 from racf.box import Box
 from racf.evaluate.boxfiles import read_boxes, read_numbers
 from racf.evaluate.metrics import Boxes
+from racf.imagefolder import image_paths, positions, visible
 
-PICTURES = {".jpg", ".jpeg", ".png", ".bmp"}
 TRUTH_NAMES = ("groundtruth_rect.txt", "groundtruth.txt")
 DEEPEST = 3  # how far below ROOT a folder of sequences may lie: ROOT/<benchmark>/<set>/<sequence>
 
@@ -117,21 +117,21 @@ def _sequence_folders(folder: Path, depth: int) -> Iterator[tuple[Path, Path]]:
             yield folder, folder / name
             return
     if depth:
-        for below in sorted(folder.iterdir()):
+        for below in sorted(visible(folder.iterdir())):
             if below.is_dir():
                 yield from _sequence_folders(below, depth - 1)
 
 
 def _annotations_only(root: Path) -> Iterator[Sequence]:
     """`ROOT/anno/<name>.txt`, or one such folder for each benchmark in ROOT."""
-    paths = sorted([*root.glob("anno/*.txt"), *root.glob("*/anno/*.txt")])
+    paths = sorted(visible([*root.glob("anno/*.txt"), *root.glob("*/anno/*.txt")]))
     places = [path.parents[1] / path.stem for path in paths]
     for name, place, path in zip(_names(places, root), places, paths, strict=True):
         yield Sequence(name, place.parent.resolve().name, read_boxes(path), missing=str(place))
 
 
 def _read_uav123(root: Path, subset: str, frames_left_out: int) -> Iterator[Sequence]:
-    truths = {path.stem: read_boxes(path) for path in (root / "anno" / subset).glob("*.txt")}
+    truths = {path.stem: read_boxes(path) for path in visible((root / "anno" / subset).glob("*.txt"))}
     if not truths:
         yield from _annotations_only(root)
     pictures = root / "data_seq" / subset
@@ -165,7 +165,7 @@ def _uav123_cut(name: str, truths: dict[str, Boxes], frames_left_out: int) -> tu
 
 
 def _read_uavdt(root: Path) -> Iterator[Sequence]:
-    paths = sorted((root / "anno").glob("*_gt.txt"))
+    paths = sorted(visible((root / "anno").glob("*_gt.txt")))
     if not paths:
         yield from _annotations_only(root)
     for path in paths:
@@ -176,7 +176,7 @@ def _read_uavdt(root: Path) -> Iterator[Sequence]:
 
 
 def _read_visdrone(root: Path) -> Iterator[Sequence]:
-    paths = sorted((root / "annotations").glob("*.txt"))
+    paths = sorted(visible((root / "annotations").glob("*.txt")))
     if not paths:
         yield from _annotations_only(root)
     for path in paths:
@@ -193,16 +193,13 @@ def _read_dtb70(root: Path) -> Iterator[Sequence]:
 
 
 def all_frames(folder: Path) -> tuple[Path, ...]:
-    """The pictures of a folder in order; raises ValueError naming the first number that is left out."""
-    paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in PICTURES)
-    numbers = [re.search(r"(\d+)$", path.stem) for path in paths]
-    numbered = sorted((int(found[1]), path) for found, path in zip(numbers, paths, strict=True) if found)
-    if len(numbered) != len(paths):
-        return tuple(paths)
-    for (before, path), (number, _) in pairwise(numbered):
-        if number != before + 1:
-            raise ValueError(f"{folder}: the frame after {path.name} is missing (number {before + 1})")
-    return tuple(path for _, path in numbered)
+    """The images of a folder in order; raises ValueError that names the first missing number."""
+    paths = image_paths(folder)
+    places = positions(paths)
+    for path, (before, after) in zip(paths, pairwise(places), strict=False):
+        if after != before + 1:
+            raise ValueError(f"{folder}: the frame after {path.name} is missing")
+    return tuple(paths)
 
 
 def _matching(frames: tuple[Path, ...], truth: Boxes, truth_path: Path) -> tuple[Path, ...]:

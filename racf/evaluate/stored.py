@@ -12,6 +12,7 @@ from pathlib import Path
 from racf.evaluate.benchmarks import Sequence
 from racf.evaluate.boxfiles import read_boxes
 from racf.evaluate.metrics import Boxes
+from racf.imagefolder import visible
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,7 +56,7 @@ def with_results(folder: Path, sequences: list[Sequence]) -> set[str]:
 def sequences_of_trackers(folder: Path, sequences: list[Sequence]) -> dict[str, set[str]]:
     """Names of the sequences that each tracker in `folder` has a result for; the folder `anno` is none."""
     places = {folder / part for s in sequences for part in ("", "results", s.benchmark, f"{s.benchmark}/results")}
-    trackers = {below.name for place in places if place.is_dir() for below in place.iterdir() if below.is_dir()}
+    trackers = {p.name for place in places if place.is_dir() for p in visible(place.iterdir()) if p.is_dir()}
     return {name: {s.name for s in sequences if _find(folder, name, s)} for name in sorted(trackers - {"anno"})}
 
 

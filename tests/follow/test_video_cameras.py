@@ -57,6 +57,23 @@ def test_a_folder_is_played_in_the_order_of_its_numbers(tmp_path):
     assert len(lines) == 1
 
 
+def test_the_hidden_files_that_macos_leaves_beside_each_image_are_passed_over(tmp_path):
+    folder = folder_of(tmp_path, range(1, 6))
+    for path in list(folder.iterdir()):
+        path.with_name(f"._{path.name}").write_bytes(b"\x00\x05\x16\x07")
+    frames, lines = play(folder)
+    assert [f.image[0, 0, 0] // 4 for f in frames if f] == [1, 2, 3, 4, 5]
+    assert (len(frames), lines) == (5, [])
+
+
+def test_the_rate_that_a_folders_path_tells_counts_from_within_it_too(tmp_path, monkeypatch):
+    inside = tmp_path / "UAV_10fps" / "seq"
+    inside.mkdir(parents=True)
+    monkeypatch.chdir(folder_of(inside, range(1, 4)))
+    with open_replay(".", None, print) as camera:
+        assert camera.fps == 10.0
+
+
 def test_a_hole_in_the_numbers_is_rounds_without_a_picture_and_one_line(tmp_path):
     frames, lines = play(folder_of(tmp_path, (1, 2, 3, 6, 7)))
     assert [f is None for f in frames] == [False, False, False, True, True, False, False]

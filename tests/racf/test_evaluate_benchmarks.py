@@ -35,6 +35,23 @@ def test_each_layout_pairs_every_frame_with_its_own_annotation(name, tmp_path):
             assert (x, y) == pytest.approx((box[0] - 1, box[1] - 1), abs=2)  # JPEG blurs the edge
 
 
+@pytest.mark.parametrize("name", LAYOUTS)
+def test_the_hidden_files_that_macos_leaves_beside_each_file_are_passed_over(name, tmp_path):
+    root = LAYOUTS[name](tmp_path)
+    before = [(s.name, s.frames, s.truth.tolist()) for s in read_benchmark(name, root)]
+    for path in [path for path in root.rglob("*") if path.is_file()]:
+        path.with_name(f"._{path.name}").write_bytes(b"\x00\x05\x16\x07")
+    assert [(s.name, s.frames, s.truth.tolist()) for s in read_benchmark(name, root)] == before
+
+
+def test_numbers_that_do_not_count_frames_are_only_an_order(tmp_path):
+    rendered.plain_folder(tmp_path)
+    for path in sorted((tmp_path / "walk").glob("*.png")):
+        path.rename(path.with_name(f"{int(path.stem) * 33}.png"))
+    (sequence,) = read_benchmark("folder", tmp_path)
+    assert [int(path.stem) // 33 for path in sequence.frames] == [303, 304, 305, 306, 307, 308]
+
+
 def test_a_first_box_is_the_annotation_in_0_based_pixels(tmp_path):
     (sequence,) = read_benchmark("folder", rendered.plain_folder(tmp_path))
     assert str(sequence.first_box()) == "30,40,24,20"
