@@ -13,16 +13,15 @@ from typing import Any, TypeVar, cast
 
 import tyro
 
+from racf.errors import UsageError
 from racf.threads import one_core
+
+__all__ = ["UsageError", "guarded", "parse", "run"]
 
 CommandT = TypeVar("CommandT")
 
 _PARSING = re.compile(r"^Error parsing \S+: ")  # before what a dataclass of ours says itself
 _FRAME = re.compile(r"[─-╿]+")  # the block of box-drawing characters
-
-
-class UsageError(ValueError):
-    """The command line asks for something that cannot be; the message is one sentence for a person."""
 
 
 def run(

@@ -1,5 +1,40 @@
-"""One-pass evaluation: benchmark readers, the runner, the published metrics, tables and plots.
+"""One-pass evaluation as a library: benchmark readers, the runner, the published metrics, tables and plots.
 
-`metrics` judges boxes against annotations; `boxfiles` and `benchmarks` read both; `trackers` builds what a name means;
-`runner` runs them; `report`, `plots` and `studies` say what came out; `speed` measures.
+    evaluation = racf.evaluate.evaluate("path/to/sequences", trackers=["racf", "racf,robust"], jitter=5)
+    print(evaluation.tables[0].markdown())
+
+`evaluate` does what `racf eval` does.  Its parts: `benchmarks` and `boxfiles` read sequences and boxes; `trackers`
+builds what a name means; `runner` runs them; `metrics` and `report` judge; `plots` and `studies` show results; `speed`
+measures.
 """
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from racf.evaluate.benchmarks import Sequence as Sequence
+    from racf.evaluate.benchmarks import read_benchmark as read_benchmark
+    from racf.evaluate.evaluation import Evaluation as Evaluation
+    from racf.evaluate.evaluation import evaluate as evaluate
+    from racf.evaluate.trackers import TrackerSpec as TrackerSpec
+
+__all__ = ["Evaluation", "Sequence", "TrackerSpec", "evaluate", "read_benchmark"]
+
+_HOME = {
+    "Evaluation": "racf.evaluate.evaluation",
+    "Sequence": "racf.evaluate.benchmarks",
+    "TrackerSpec": "racf.evaluate.trackers",
+    "evaluate": "racf.evaluate.evaluation",
+    "read_benchmark": "racf.evaluate.benchmarks",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'racf.evaluate' has no attribute {name!r}")
+    import importlib  # noqa: PLC0415 - only when a name is asked for: a flight imports only the box files
+
+    return getattr(importlib.import_module(_HOME[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

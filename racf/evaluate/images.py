@@ -1,4 +1,4 @@
-"""Pictures from files: one, a folder of numbered ones, or a video."""
+"""Images from files: one, a folder of numbered ones, or a video."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,28 +9,28 @@ from numpy.typing import NDArray
 
 from racf.evaluate.benchmarks import all_frames
 
-Picture = NDArray[np.uint8]  # (rows, columns, 3), BGR
+Image = NDArray[np.uint8]  # (rows, columns, 3), BGR
 
 
-def read_frame(path: Path) -> Picture:
-    """A picture; raises ValueError naming the file."""
+def read_frame(path: Path) -> Image:
+    """One image; raises ValueError naming the file."""
     image = cv2.imread(str(path), cv2.IMREAD_COLOR)
     if image is None:
-        raise ValueError(f"{path} is not a picture that OpenCV can read")
+        raise ValueError(f"{path} is not an image that OpenCV can read")
     return np.asarray(image, dtype=np.uint8)
 
 
-def frames_of(source: Path) -> Iterator[Picture]:
-    """The pictures of a folder or of a video file, in order; raises when there are none."""
+def frames_of(source: Path) -> Iterator[Image]:
+    """The images of a folder or of a video file, in order; raises when there are none."""
     if source.is_dir():
         paths = all_frames(source / "img" if (source / "img").is_dir() else source)
         if not paths:
-            raise ValueError(f"{source} is a folder without pictures")
+            raise ValueError(f"{source} is a folder without images")
         for path in paths:
             yield read_frame(path)
         return
     if not source.is_file():
-        raise FileNotFoundError(f"{source} is neither a folder of pictures nor a video file")
+        raise FileNotFoundError(f"{source} is neither a folder of images nor a video file")
     video = cv2.VideoCapture(str(source))
     try:
         more, image = video.read()

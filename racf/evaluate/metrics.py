@@ -89,8 +89,8 @@ def filled(boxes: Boxes) -> Boxes:
 
 def centre_error_px(boxes: Boxes, truth: Boxes) -> NDArray[np.float64]:
     """Distance of the centres; the toolkits' `x + (w - 1) / 2` differs from `x + w / 2` by the same on both sides."""
-    limit_closing_speed = (boxes[:, :2] + boxes[:, 2:] / 2) - (truth[:, :2] + truth[:, 2:] / 2)
-    return np.hypot(limit_closing_speed[:, 0], limit_closing_speed[:, 1])
+    apart_px = (boxes[:, :2] + boxes[:, 2:] / 2) - (truth[:, :2] + truth[:, 2:] / 2)
+    return np.hypot(apart_px[:, 0], apart_px[:, 1])
 
 
 def overlaps(boxes: Boxes, truth: Boxes) -> NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""Figures of an evaluation, each as PNG and SVG: precision and success, by attribute, and pictures with boxes."""
+"""Figures of an evaluation, each as PNG and SVG: precision and success, by attribute, and frames with boxes."""
 
 from collections.abc import Mapping
 from collections.abc import Sequence as ListOf
@@ -18,9 +18,11 @@ from racf.evaluate.metrics import ERROR_THRESHOLDS_PX, OVERLAP_THRESHOLDS, Boxes
 from racf.evaluate.report import Report
 
 LEGEND_AT_MOST = 16  # trackers: the paper's figures show fourteen
-PICTURES_A_SEQUENCE = 3
+IMAGES_PER_SEQUENCE = 3
 LINE_PX = (2, 1, 3)  # of the boxes of the first ten trackers, the next ten, ...
-PICTURE_COLS = 480  # a picture is scaled to this width before it is drawn on, so that lines are alike
+ANNOTATION, ANNOTATION_PX = "annotation", 4
+BEHIND_WHITE = "0.8"  # grey behind the legend, on which the annotation's white line can be seen
+IMAGE_COLS = 480  # an image is scaled to this width before it is drawn on, so that lines are equally wide
 
 
 def draw_curves(report: Report, folder: Path) -> list[Path]:
@@ -73,13 +75,13 @@ def draw_lines(
     return save(figure, place)
 
 
-def draw_pictures(sequences: ListOf[Sequence], boxes: Mapping[str, Mapping[str, Boxes]], place: Path) -> list[Path]:
-    """Figure 6: frames of each sequence with every tracker's box (`boxes` by label and sequence, 1-based).
+def draw_images(sequences: ListOf[Sequence], boxes: Mapping[str, Mapping[str, Boxes]], place: Path) -> list[Path]:
+    """Figure 6: frames of each sequence with the annotation and every tracker's box.
 
-    Raises ValueError where there is no sequence, or one without frames.
+    `boxes` are by label and sequence, 1-based.  Raises ValueError where there is no sequence, or one without frames.
     """
     if not sequences:
-        raise ValueError("there is no sequence to draw pictures of: none that counts has frames")
+        raise ValueError("there is no sequence to draw images of: none that counts has frames")
     for sequence in sequences:
         sequence.need_frames()
     colours = mpl.colormaps["tab10"].colors  # pyright: ignore[reportAttributeAccessIssue]
@@ -87,15 +89,18 @@ def draw_pictures(sequences: ListOf[Sequence], boxes: Mapping[str, Mapping[str, 
     lines = {
         label: (colours[i % len(colours)], LINE_PX[i // len(colours) % len(LINE_PX)]) for i, label in enumerate(boxes)
     }
-    figure = Figure(figsize=(3.4 * PICTURES_A_SEQUENCE, 2.1 * len(sequences) + 0.4), layout="constrained")
-    every = figure.subplots(len(sequences), PICTURES_A_SEQUENCE, squeeze=False)
+    lines[ANNOTATION] = ((1.0, 1.0, 1.0), ANNOTATION_PX)
+    figure = Figure(figsize=(3.4 * IMAGES_PER_SEQUENCE, 2.1 * len(sequences) + 0.4), layout="constrained")
+    every = figure.subplots(len(sequences), IMAGES_PER_SEQUENCE, squeeze=False)
     for line, sequence in zip(every, sequences, strict=True):
-        shown = np.linspace(0, len(sequence.frames) - 1, PICTURES_A_SEQUENCE + 1).round().astype(int)[1:]
+        shown = np.linspace(0, len(sequence.frames) - 1, IMAGES_PER_SEQUENCE + 1).round().astype(int)[1:]
         for axes, index in zip(line, shown, strict=True):
-            at = {label: of[sequence.name][index] for label, of in boxes.items() if sequence.name in of}
+            at = {ANNOTATION: sequence.truth[index]}  # first, so that it hides no tracker's box
+            at |= {label: of[sequence.name][index] for label, of in boxes.items() if sequence.name in of}
             axes.imshow(_with_boxes(read_frame(sequence.frames[index]), at, lines)[:, :, ::-1])
             axes.set_title(f"{sequence.name} #{index + 1}", fontsize=7)
             axes.set_axis_off()
+    figure.set_facecolor(BEHIND_WHITE)
     handles = [Line2D([], [], color=colour, linewidth=px, label=label) for label, (colour, px) in lines.items()]
     figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), len(colours)), fontsize=8)
     return save(figure, place)
@@ -135,8 +140,8 @@ def _with_boxes(
     at: Mapping[str, NDArray[np.float64]],
     lines: Mapping[str, tuple[tuple[float, ...], int]],
 ) -> NDArray[np.uint8]:
-    """A copy, `PICTURE_COLS` wide, with boxes in 1-based pixels of the original drawn on it, but for those of NaN."""
-    scale = PICTURE_COLS / image.shape[1]
+    """A copy, `IMAGE_COLS` wide, with boxes in 1-based pixels of the original drawn on it, but for those of NaN."""
+    scale = IMAGE_COLS / image.shape[1]
     small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     for label, box in at.items():
         if not np.isfinite(box).all():

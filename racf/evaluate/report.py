@@ -2,11 +2,11 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
 from racf.evaluate.benchmarks import Sequence
+from racf.evaluate.figures import DifferenceFigures, DifferencesFigures, ScoreFigures, SequenceFigures, TrackerFigures
 from racf.evaluate.metrics import Boxes, Convention, Score, interval_of_mean, mean_score, score
 from racf.evaluate.runner import SequenceRun
 from racf.evaluate.stored import Stored
@@ -37,7 +37,7 @@ class ResultRow:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Text in cells, for the screen and for Markdown."""
+    """Text in cells, for the screen, for Markdown and for a notebook, which shows it as a table."""
 
     title: str
     header: tuple[str, ...]
@@ -47,6 +47,8 @@ class Table:
         """The table with its title as a heading."""
         lines = [f"## {self.title}", "", _bars(self.header), _bars(["---", *["---:"] * (len(self.header) - 1)])]
         return "\n".join([*lines, *(_bars(row) for row in self.rows), ""])
+
+    _repr_markdown_ = markdown
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,22 +87,27 @@ class Report:
                   for s in self.sequences if s.name in self.counted and s.frames}  # fmt: skip
         return sorted(spread, key=lambda name: -spread[name])[:count]
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> dict[str, TrackerFigures]:
         """The contract of `racf eval --json`: see docs/evaluation.md."""
         return {row.label: self._row_json(row) for row in self.rows}
 
-    def _row_json(self, row: ResultRow) -> dict[str, Any]:
+    def _row_json(self, row: ResultRow) -> TrackerFigures:
         counted = [row.nominal[name] for name in self.counted]
-        out: dict[str, Any] = _figures(counted)
+        out: TrackerFigures = {
+            **_figures(counted),
+            "interval_95": {
+                "precision_20px": _rounded(interval_of_mean([j.toolkit.precision_20px for j in counted])),
+                "auc": _rounded(interval_of_mean([j.toolkit.auc for j in counted])),
+            },
+            "sequences": {s.name: self._sequence_json(row, s) for s in self.sequences if s.name in row.nominal},
+        }
         fps = [row.fps[name] for name in self.counted if name in row.fps]
         if fps:
             out["fps"] = round(float(np.mean(fps)), 2)
-        out["interval_95"] = {
-            "precision_20px": _rounded(interval_of_mean([j.toolkit.precision_20px for j in counted])),
-            "auc": _rounded(interval_of_mean([j.toolkit.auc for j in counted])),
-        }
-        if row.jittered:
-            starts = [judged for name in self.counted for judged in row.jittered[name]]
+        if row is not self.rows[0]:
+            out["difference"] = self.difference(row)
+        starts = [judged for name in self.counted for judged in row.jittered.get(name, ())]
+        if starts:
             out["jittered"] = {"starts": len(starts) // len(self.counted), **_figures(starts)}
         if len(self.benchmarks()) > 1:
             out["benchmarks"] = {b: _figures([row.nominal[n] for n in self.names(b)]) for b in self.benchmarks()}
@@ -108,19 +115,49 @@ class Report:
             out["attributes"] = {
                 a: _figures([row.nominal[n] for n in self.names(attribute=a)]) for a in self.attributes()
             }
-        out["sequences"] = {s.name: self._sequence_json(row, s) for s in self.sequences if s.name in row.nominal}
         return out
 
-    def _sequence_json(self, row: ResultRow, sequence: Sequence) -> dict[str, Any]:
-        out: dict[str, Any] = _figures([row.nominal[sequence.name]])
+    def _sequence_json(self, row: ResultRow, sequence: Sequence) -> SequenceFigures:
+        out: SequenceFigures = {
+            **_figures([row.nominal[sequence.name]]),
+            "frames": len(sequence.truth),
+            "benchmark": sequence.benchmark,
+            "counted": sequence.name in self.counted,
+        }
         if sequence.name in row.fps:
             out["fps"] = round(row.fps[sequence.name], 2)
         if sequence.name in row.jittered:
             out["jittered"] = _figures(row.jittered[sequence.name])
-        out["frames"] = len(sequence.truth)
-        out["benchmark"] = sequence.benchmark
-        out["counted"] = sequence.name in self.counted
         return out
+
+    def difference(self, row: ResultRow) -> DifferencesFigures:
+        """A row minus the first one, paired by sequence: the sequences' own difficulty cancels."""
+        first = self.rows[0]
+        pairs = [([row.nominal[name]], [first.nominal[name]]) for name in self.counted]
+        out: DifferencesFigures = {**_difference(first.label, pairs)}
+        starts = {len(r.jittered.get(name, ())) for r in (row, first) for name in self.counted}
+        if len(starts) == 1 and starts != {0}:
+            out["jittered"] = _difference(
+                first.label, [(row.jittered[name], first.jittered[name]) for name in self.counted]
+            )
+        return out
+
+    def differences(self) -> Table | None:
+        """The differences of all rows to the first, or None where there is one row."""
+        if len(self.rows) < 2:
+            return None
+        found = {row.label: self.difference(row) for row in self.rows[1:]}
+        shaken = any("jittered" in of for of in found.values())
+        header = ["tracker", "precision", "95 %", "AUC", "95 %"]
+        header += ["jittered precision", "95 %", "jittered AUC", "95 %"] * shaken
+        rows: list[tuple[str, ...]] = []
+        for label, of in found.items():
+            cells = [label, *_difference_cells(of)]
+            if shaken:
+                cells += _difference_cells(of["jittered"]) if "jittered" in of else ["-"] * 4
+            rows.append(tuple(cells))
+        title = f"Difference to {self.rows[0].label}, paired over {len(self.counted)} sequences, percentage points"
+        return Table(title, tuple(header), tuple(rows))
 
     def overall(self) -> Table:
         """A row a tracker: both figures with their intervals, the strict ones, speed, and the jittered mean."""
@@ -135,8 +172,8 @@ class Report:
             cells += [_two(figures["auc"]), f"{high[0]:.1f}..{high[1]:.1f}"]
             cells += [_two(figures["precision_20px_strict"]), _two(figures["auc_strict"])]
             cells += [_two(figures.get("fps"))] * timed
-            jittered = figures.get("jittered", {})
-            cells += [_two(jittered.get("precision_20px")), _two(jittered.get("auc"))] * shaken
+            jittered = figures.get("jittered")
+            cells += [_two(jittered and jittered["precision_20px"]), _two(jittered and jittered["auc"])] * shaken
             rows.append(tuple(cells))
         title = f"One-pass evaluation, mean over {len(self.counted)} sequences, percent"
         return Table(title, tuple(header), tuple(rows))
@@ -184,7 +221,12 @@ def build_report(
     rows = [_judge_runs(label, sequences, by_sequence) for label, by_sequence in runs.items()]
     for label, left in stored.items():
         judged = {s.name: Judged.of(left.boxes[s.name], s) for s in sequences if s.name in left.boxes}
-        rows.append(ResultRow(label, judged, left.fps))
+        starts = {
+            s.name: [Judged.of(boxes, s) for boxes in left.jittered[s.name]]
+            for s in sequences
+            if s.name in left.jittered
+        }
+        rows.append(ResultRow(label, judged, left.fps, starts))
     common = [s.name for s in sequences if all(s.name in row.nominal for row in rows)]
     published = set(reference)
     counted = [name for name in common if name in published] or common
@@ -206,7 +248,7 @@ def _judge_runs(label: str, sequences: tuple[Sequence, ...], by_sequence: Mappin
     return row
 
 
-def _figures(judged: list[Judged]) -> dict[str, float]:
+def _figures(judged: list[Judged]) -> ScoreFigures:
     toolkit, strict = mean_score([j.toolkit for j in judged]), mean_score([j.strict for j in judged])
     return {
         "precision_20px": round(toolkit.precision_20px, 6),
@@ -214,6 +256,29 @@ def _figures(judged: list[Judged]) -> dict[str, float]:
         "precision_20px_strict": round(strict.precision_20px, 6),
         "auc_strict": round(strict.auc, 6),
     }
+
+
+def _difference(to: str, pairs: list[tuple[list[Judged], list[Judged]]]) -> DifferenceFigures:
+    """Each pair: the starts of one sequence, of the tracker and of the one that it is compared with."""
+    means = [(mean_score([j.toolkit for j in ours]), mean_score([j.toolkit for j in theirs])) for ours, theirs in pairs]
+    precision = [ours.precision_20px - theirs.precision_20px for ours, theirs in means]
+    auc = [ours.auc - theirs.auc for ours, theirs in means]
+    return {
+        "to": to,
+        "precision_20px": round(float(np.mean(precision)), 6),
+        "auc": round(float(np.mean(auc)), 6),
+        "interval_95": {
+            "precision_20px": _rounded(interval_of_mean(precision)),
+            "auc": _rounded(interval_of_mean(auc)),
+        },
+    }
+
+
+def _difference_cells(of: DifferenceFigures) -> list[str]:
+    (low, high), (lower, upper) = of["interval_95"]["precision_20px"], of["interval_95"]["auc"]
+    return [
+        f"{of['precision_20px']:+.2f}", f"{low:+.1f}..{high:+.1f}", f"{of['auc']:+.2f}", f"{lower:+.1f}..{upper:+.1f}",
+    ]  # fmt: skip
 
 
 def _pair(judged: list[Judged]) -> str:

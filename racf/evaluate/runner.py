@@ -6,8 +6,6 @@ boxes depend on nothing else.  With a folder, finished tasks are left there and 
 
 import hashlib
 import importlib
-import json
-import os
 import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -21,8 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from racf.box import Box
+from racf.evaluate import outcomes
 from racf.evaluate.benchmarks import Sequence
-from racf.evaluate.boxfiles import read_boxes, write_boxes
+from racf.evaluate.boxfiles import read_boxes
 from racf.evaluate.images import read_frame
 from racf.evaluate.metrics import Boxes
 from racf.parallel import each
@@ -36,19 +35,19 @@ JITTER_SIZE = 0.1
 
 
 class Tracker(Protocol):
-    """Follows one box through pictures."""
+    """Follows one box through images."""
 
     def init(self, image: NDArray[np.uint8], box: Box) -> Track:
         """Learn the target inside `box`."""
         ...
 
     def update(self, image: NDArray[np.uint8]) -> Track:
-        """Find it in the next picture."""
+        """Find it in the next image."""
         ...
 
 
 class TrackerBuilder(Protocol):
-    """What to run: travels to the processes that run it, so it holds no tracker."""
+    """Builds one tracker; it is sent to the processes that run it, so it holds none."""
 
     @property
     def label(self) -> str:
@@ -84,7 +83,7 @@ class Task:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SequenceRun:
-    """What a task gave: boxes in 1-based pixels like the annotations', and the time inside the tracker."""
+    """The outcome of a task: boxes in 1-based pixels like the annotations', and the time inside the tracker."""
 
     boxes: Boxes
     fps: float
@@ -164,7 +163,7 @@ def run_all(
     left.sort(key=lambda task: -len(task.frames))  # long ones first, so that all processes end together
     for task, run in _outcomes(left, jobs, dask):
         if folder is not None:
-            _store(folder, task, run)
+            outcomes.store(folder, task, run)
         runs[task.spec.label, task.sequence, task.start] = run
         done(task, run, False)
     return runs
@@ -177,6 +176,9 @@ def _outcomes(todo: list[Task], jobs: int, dask: str | None) -> Iterator[tuple[T
         for task in todo:
             yield task, run_task(task)
     else:
+        # Compiled here first, so that each process loads the kernels instead of compiling (and announcing) them, too.
+        for spec in {type(task.spec.build()): task.spec for task in todo}.values():
+            warm_up(spec)
         yield from each(run_task, todo, jobs)
 
 
@@ -185,40 +187,16 @@ def _on_dask(todo: list[Task], address: str) -> Iterator[tuple[Task, SequenceRun
     try:
         distributed: Any = importlib.import_module("distributed")  # an extra
     except ImportError:
-        raise ValueError("--dask needs the extra: pip install 'follow-me[dask]'") from None
+        raise ValueError("Dask needs the extra: pip install 'follow-me[dask]'") from None
     with distributed.Client(address) as client:
         waiting = {client.submit(run_task, task, pure=False): task for task in todo}
         for future in distributed.as_completed(list(waiting)):
             yield waiting[future], future.result()
 
 
-def _places(folder: Path, task: Task) -> tuple[Path, Path]:
-    start = f".start{task.start}" if task.start else ""
-    tracker = f"{task.spec.label.replace(os.sep, '_')}-{task.spec.fingerprint()}"
-    stem = task.sequence.rpartition("/")[2] + start
-    place = folder / "runs" / tracker / task.benchmark
-    return place / f"{stem}.txt", place / f"{stem}.json"
-
-
 def _stored(folder: Path | None, task: Task) -> SequenceRun | None:
-    """The outcome that an earlier evaluation left, if it is of this very task."""
-    if folder is None:
+    found = None if folder is None else outcomes.find(folder, task)
+    if found is None:
         return None
-    boxes, note = _places(folder, task)
-    if not note.is_file():
-        return None
-    known = json.loads(note.read_text())
-    if known["key"] != task.key():
-        return None
+    boxes, known = found
     return SequenceRun(read_boxes(boxes), known["fps"], known["stage_ms"])
-
-
-def _store(folder: Path, task: Task, run: SequenceRun) -> None:
-    """Leave the boxes, then the note that vouches for them: an interruption in between leaves no note."""
-    boxes, note = _places(folder, task)
-    boxes.parent.mkdir(parents=True, exist_ok=True)
-    note.unlink(missing_ok=True)
-    write_boxes(boxes, run.boxes)
-    half = note.with_suffix(".part")
-    half.write_text(json.dumps({"key": task.key(), "fps": run.fps, "stage_ms": run.stage_ms}))
-    half.replace(note)

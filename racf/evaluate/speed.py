@@ -1,6 +1,6 @@
 """How fast, on one core: every tracker and its OpenCV peers on the same frames in the same run.
 
-Each picture is handed to all trackers in turn, in an order that rotates, so that whatever else the machine does strikes
+Each image is handed to all trackers in turn, in an order that rotates, so that whatever else the machine does strikes
 all of them alike; a ratio is taken within a sequence, and the median over the sequences is reported.
 """
 
@@ -10,12 +10,11 @@ import platform
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 from time import perf_counter
-from typing import Any
 
 import cv2
 import numpy as np
@@ -23,7 +22,8 @@ import numpy as np
 from racf.box import Box
 from racf.evaluate import roofline
 from racf.evaluate.benchmarks import Sequence
-from racf.evaluate.images import Picture, read_frame
+from racf.evaluate.figures import BenchFigures, ClipFigures, MachineFigures, SpeedFigures
+from racf.evaluate.images import Image, read_frame
 from racf.evaluate.report import Table
 from racf.evaluate.runner import warm_up
 from racf.evaluate.trackers import PEERS, TrackerSpec, opencv_has
@@ -60,15 +60,15 @@ print(json.dumps({**seconds, "memory_mb": held}))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Clip:
-    """A named row of pictures and the target in the first."""
+    """A named list of images and the target in the first."""
 
     name: str
     target: Box
-    frames: tuple[Path, ...] = ()  # none: rendered ones
+    frames: tuple[Path, ...] = ()  # empty: rendered ones
     count: int = 0
 
-    def pictures(self) -> Iterator[Picture]:
-        """The pictures, one at a time."""
+    def images(self) -> Iterator[Image]:
+        """The images, one at a time."""
         if self.frames:
             yield from (read_frame(path) for path in self.frames[: self.count])
         else:
@@ -89,7 +89,7 @@ class Lap:
 
 
 def clips_of(sequences: list[Sequence], frames: int) -> list[Clip]:
-    """The first `frames` pictures of each sequence; raises where a sequence has fewer than two."""
+    """The first `frames` images of each sequence; raises where a sequence has fewer than two."""
     for sequence in sequences:
         sequence.need_frames()
         if len(sequence.frames) < 2:
@@ -98,21 +98,21 @@ def clips_of(sequences: list[Sequence], frames: int) -> list[Clip]:
 
 
 def rendered_clips(frames: int) -> list[Clip]:
-    """A small, a middling and a large target in rendered pictures of 1280x720."""
+    """A small, a middling and a large target in rendered images of 1280x720."""
     return [Clip(f"rendered {w}x{h}", Box(400, 300, w, h), count=frames) for w, h in ((20, 16), (48, 36), (120, 90))]
 
 
-def rendered(target: Box, frames: int) -> Iterator[Picture]:
-    """A textured rectangle that drifts over textured ground; the same pictures each time."""
+def rendered(target: Box, frames: int) -> Iterator[Image]:
+    """A textured rectangle that drifts over textured ground; the same images each time."""
     rng = np.random.default_rng(0)
     ground = cv2.resize(rng.integers(40, 160, (90, 160, 3), dtype=np.uint8), (1280, 720), interpolation=cv2.INTER_CUBIC)
     w, h = round(target.w), round(target.h)
     texture = cv2.resize(rng.integers(90, 255, (6, 6, 3), dtype=np.uint8), (w, h), interpolation=cv2.INTER_CUBIC)
     for step in range(frames):
-        picture = np.array(ground, dtype=np.uint8)
+        image = np.array(ground, dtype=np.uint8)
         x, y = round(target.x + 40 * np.sin(step / 12)), round(target.y + 25 * np.sin(step / 9))
-        picture[y : y + h, x : x + w] = texture
-        yield picture
+        image[y : y + h, x : x + w] = texture
+        yield image
 
 
 def peers() -> list[TrackerSpec]:
@@ -131,23 +131,45 @@ def floors_ms(specs: list[TrackerSpec], clips: list[Clip]) -> dict[str, dict[str
     return out
 
 
+def bench(
+    specs: list[TrackerSpec], clips: list[Clip], notify: Callable[[str], None], *, first_call: bool = True
+) -> BenchFigures:
+    """Measure ours and OpenCV's CSRT and KCF on every clip; `notify` is given a line for each.
+
+    `first_call` adds the times of fresh processes with cold and warm caches of compiled kernels.
+    """
+    others = peers()
+    if not others:
+        notify("OpenCV here has neither CSRT nor KCF; `make bench` builds an environment that has")
+    laps: dict[str, dict[str, Lap]] = {}
+    for clip in clips:
+        laps[clip.name] = of = measure([*specs, *others], clip)
+        notify(f"{clip.name}: " + ", ".join(f"{label} {lap.fps:.0f}" for label, lap in of.items()) + " frames/s")
+    figures = summary(laps, [spec.label for spec in others])
+    for label, floors in floors_ms(specs, clips).items():
+        figures["tracker"][label]["floor_ms"] = floors
+    if first_call:
+        figures["first_call"] = first_calls(specs[0])
+    return figures
+
+
 def measure(specs: list[TrackerSpec], clip: Clip) -> dict[str, Lap]:
-    """Laps by label, of trackers that see each picture one after the other."""
+    """Laps by label, of trackers that see each image one after the other."""
     one_core()
     cv2.setRNGSeed(0)
     for spec in specs:
         warm_up(spec)
     running = [(spec.label, spec.build()) for spec in specs]
     laps = {spec.label: Lap([], {}) for spec in specs}
-    for index, picture in enumerate(clip.pictures()):
+    for index, image in enumerate(clip.images()):
         if index == 0:
             for _, tracker in running:
-                tracker.init(picture, clip.target)
+                tracker.init(image, clip.target)
             continue
         turn = index % len(running)
         for label, tracker in [*running[turn:], *running[:turn]]:
             began = perf_counter()
-            track = tracker.update(picture)
+            track = tracker.update(image)
             laps[label].frame_ms.append(1000 * (perf_counter() - began))
             for stage, ms in track.stage_ms.items():
                 laps[label].stage_ms.setdefault(stage, []).append(ms)
@@ -172,41 +194,43 @@ def first_call(spec: TrackerSpec, environment: dict[str, str]) -> dict[str, floa
     return {key: round(value, 3) for key, value in json.loads(done.stdout).items()}
 
 
-def summary(laps: dict[str, dict[str, Lap]], peer_labels: list[str]) -> dict[str, Any]:
-    """What `racf bench --json` prints, from laps by clip and label: medians over the clips."""
-    labels = list(next(iter(laps.values())))
-    out: dict[str, Any] = {"tracker": {}, "peers": {}}
-    for label in labels:
+def summary(laps: dict[str, dict[str, Lap]], peer_labels: list[str]) -> BenchFigures:
+    """Medians over the clips, from laps by clip and label."""
+    ours: dict[str, SpeedFigures] = {}
+    theirs: dict[str, SpeedFigures] = {}
+    for label in next(iter(laps.values())):
         of = [lap[label] for lap in laps.values()]
-        figures: dict[str, Any] = {"fps": round(median(lap.fps for lap in of), 2)}
+        fps = round(median(lap.fps for lap in of), 2)
         if label in peer_labels:
-            out["peers"][label] = figures
+            theirs[label] = {"fps": fps}
             continue
         stages = list(dict.fromkeys(stage for lap in of for stage in lap.stage_ms))
-        figures["ms"] = {
-            stage: round(median(median(lap.stage_ms.get(stage, [0.0])) for lap in of), 3) for stage in stages
+        ours[label] = {
+            "fps": fps,
+            "ms": {stage: round(median(median(lap.stage_ms.get(stage, [0.0])) for lap in of), 3) for stage in stages},
+            "times_as_fast_as": {
+                peer: round(median(lap[label].fps / lap[peer].fps for lap in laps.values()), 2) for peer in peer_labels
+            },
         }
-        figures["times_as_fast_as"] = {
-            peer: round(median(lap[label].fps / lap[peer].fps for lap in laps.values()), 2) for peer in peer_labels
-        }
-        out["tracker"][label] = figures
-    out["clips"] = {
+    clips: dict[str, dict[str, ClipFigures]] = {
         name: {label: {"fps": round(lap.fps, 2), "frames": len(lap.frame_ms) + 1} for label, lap in of.items()}
         for name, of in laps.items()
     }
-    out["machine"] = {"cpu": _cpu(), "python": platform.python_version(), "opencv": cv2.__version__, "threads": 1}
-    return out
+    machine: MachineFigures = {
+        "cpu": _cpu(), "python": platform.python_version(), "opencv": cv2.__version__, "threads": 1,
+    }  # fmt: skip
+    return {"tracker": ours, "peers": theirs, "clips": clips, "machine": machine}
 
 
-def tables(figures: dict[str, Any]) -> list[Table]:
+def tables(figures: BenchFigures) -> list[Table]:
     """The same for the screen."""
     ours, peer_rows = figures["tracker"], figures["peers"]
     speeds = [
-        (label, f"{of['fps']:.1f}", *(f"{of['times_as_fast_as'][peer]:.2f}" for peer in peer_rows))
+        (label, f"{of['fps']:.1f}", *(f"{of.get('times_as_fast_as', {})[peer]:.2f}" for peer in peer_rows))
         for label, of in ours.items()
     ]
     speeds += [(peer, f"{of['fps']:.1f}", *("" for _ in peer_rows)) for peer, of in peer_rows.items()]
-    stages = list(dict.fromkeys(stage for of in ours.values() for stage in of["ms"]))
+    stages = list(dict.fromkeys(stage for of in ours.values() for stage in of.get("ms", {})))
     out = [
         Table(
             f"Frames per second, one thread, median of {len(figures['clips'])} sequences ({figures['machine']['cpu']})",
@@ -229,9 +253,9 @@ def tables(figures: dict[str, Any]) -> list[Table]:
     return out
 
 
-def _with_floor(figures: dict[str, Any], stage: str) -> str:
+def _with_floor(figures: SpeedFigures, stage: str) -> str:
     least = figures.get("floor_ms", {}).get(stage)
-    return f"{figures['ms'].get(stage, 0.0):.2f}" + (f" ({least:.2f})" if least is not None else "")
+    return f"{figures.get('ms', {}).get(stage, 0.0):.2f}" + (f" ({least:.2f})" if least is not None else "")
 
 
 def _cpu() -> str:

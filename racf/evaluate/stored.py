@@ -1,7 +1,8 @@
 """Boxes that somebody's tracker left in files, found for the sequences of a benchmark.
 
 Known arrangements, with `.txt` or `.mat` files: `DIR/<sequence>`, `DIR/<tracker>/<sequence>`, the same in a folder
-`DIR/<benchmark>` or `results` (also `DIR/<benchmark>/results`), and the toolkits' `<sequence>_<tracker>.mat`.
+`DIR/<benchmark>` or `results` (also `DIR/<benchmark>/results`), and the toolkits' `<sequence>_<tracker>.mat`.  A file
+`fps.json` beside them holds frames per second by sequence.
 """
 
 import json
@@ -17,10 +18,11 @@ from racf.imagefolder import visible
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stored:
-    """A tracker's boxes by sequence, for those that it has, and its frames per second where `fps.json` lies beside."""
+    """A tracker's boxes by sequence, for those that it has; frames per second and jittered starts if they are known."""
 
     boxes: dict[str, Boxes]
     fps: dict[str, float] = field(default_factory=dict)
+    jittered: dict[str, list[Boxes]] = field(default_factory=dict)
 
 
 def read_stored(folder: Path, tracker: str, sequences: Iterable[Sequence]) -> Stored:

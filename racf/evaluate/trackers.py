@@ -1,33 +1,29 @@
-"""What a tracker's name on the command line means.
+"""What a tracker's name means, on the command line and in `racf.evaluate.evaluate`.
 
-`racf`, `racf-`, `racf--`, `bacf` and `arcf-hc` are presets of racf.params; `csrt`, `kcf`, `mil` are OpenCV's, where
-the installed OpenCV has them.  Settings may follow the name: `racf,robust`, `bacf,refine,admm_iterations=3`.
+racf, racf-, racf--, bacf, arcf-hc     presets of racf.params, with any of its settings: racf,robust
+csrt, kcf, mil, nano, vit              OpenCV's (see racf.evaluate.peers): nano,backbone=FILE,neckhead=FILE
+module:Class                           your own (see racf.evaluate.own)
 """
 
-import ctypes
 import hashlib
-import math
-import sys
-from collections.abc import Callable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from typing_extensions import Self
 
 import racf
-from racf.box import Box
-from racf.evaluate.runner import Tracker
+from racf.evaluate import own
+from racf.evaluate.own import OwnSpec
+from racf.evaluate.peers import NETWORKS, OPENCV, PEERS, Peer, digest_of, opencv_has, peer_settings
+from racf.evaluate.runner import Tracker, TrackerBuilder
 from racf.params import PRESETS, Params, preset, split_settings
-from racf.refine import Refined
-from racf.track import Track
 
-OPENCV = {"csrt": "TrackerCSRT_create", "kcf": "TrackerKCF_create", "mil": "TrackerMIL_create"}
-PEERS = ("csrt", "kcf")  # those that a drone's computer could run instead of ours
+__all__ = ["OPENCV", "PEERS", "Peer", "TrackerSpec", "builders_of", "opencv_has"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,23 +36,35 @@ class TrackerSpec:
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Read `name[,key=value...]`."""
-        return cls(text, *split_settings(text))
+        """Read `name[,key=value...]`.  The label is the text, but for the files of a network."""
+        name, settings = split_settings(text)
+        files = NETWORKS.get(name, ())
+        parts = [part for part in text.split(",") if part.partition("=")[0].strip() not in files]
+        return cls(",".join(parts), name, settings)
 
     def check(self) -> None:
         """Raise ValueError for a name or a setting that is not known."""
-        if self.name not in PRESETS and self.name not in OPENCV:
-            raise ValueError(f"tracker {self.name!r} is not known; known are {', '.join([*PRESETS, *OPENCV])}")
-        _ = self._opencv_settings() if self.name in OPENCV else self.params()
+        if self.name in OPENCV:
+            peer_settings(self.name, dict(self.settings))
+        elif ":" in self.name:
+            own.build(self.name, dict(self.settings))
+        elif self.name in PRESETS:
+            self.params()
+        else:
+            known = ", ".join([*PRESETS, *OPENCV])
+            raise ValueError(f"tracker {self.name!r} is not known; known are {known}, and your own as module:Class")
 
     def with_settings(self, settings: list[str]) -> Self:
         """The same with more settings, each `key=value`, or `key` alone for true."""
         return replace(self, settings=(*self.settings, *split_settings(",".join([self.name, *settings]))[1]))
 
     def build(self) -> Tracker:
-        """A fresh tracker."""
+        """A fresh tracker; raises ValueError for a name or a setting that is not known."""
         if self.name in OPENCV:
-            return Peer(self.name, **self._opencv_settings())
+            refine, files = peer_settings(self.name, dict(self.settings))
+            return Peer(self.name, refine=refine, files=files)
+        if ":" in self.name:
+            return own.build(self.name, dict(self.settings))
         return racf.Racf(self.params())
 
     def params(self) -> Params:
@@ -65,67 +73,54 @@ class TrackerSpec:
 
     def fingerprint(self) -> str:
         """Changes whenever the boxes could: a digest of parameters, versions and the tracker's source."""
-        what = f"{self.name} {self._opencv_settings()}" if self.name in OPENCV else repr(self.params())
+        if self.name in OPENCV:
+            refine, files = peer_settings(self.name, dict(self.settings))
+            what = f"{self.name} { ({'refine': refine}) } {digest_of(files) if files else ''}"
+        elif ":" in self.name:
+            what = f"{self.name} {self.settings} {own.source_of(own.load(self.name))}"
+        else:
+            what = repr(self.params())
         parts = (what, version("follow-me"), cv2.__version__, np.__version__, _source_digest())
         return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
 
-    def _opencv_settings(self) -> dict[str, bool]:
-        for key, value in self.settings:
-            if key != "refine" or value not in {"true", "false"}:
-                raise ValueError(f"OpenCV's {self.name} has only the setting refine (true or false), not {key}={value}")
-        return {"refine": dict(self.settings).get("refine") == "true"}
+
+def builders_of(trackers: object, settings: Iterable[str] = ()) -> list[TrackerBuilder]:
+    """What to run, from names, specs, classes of your own, or a mapping of labels to any of these.
+
+    `settings` (each key=value) are added to those given by name.  Raises ValueError for what is not known.
+    """
+    if isinstance(trackers, Mapping):
+        given = [(str(label), what) for label, what in cast("Mapping[Any, Any]", trackers).items()]
+    elif isinstance(trackers, str) or callable(trackers):
+        given = [(None, trackers)]
+    else:
+        given = [(None, what) for what in cast("Iterable[Any]", trackers)]
+    builders = [_builder(label, what, list(settings)) for label, what in given]
+    labels = [builder.label for builder in builders]
+    for label in labels:
+        if labels.count(label) > 1:
+            raise ValueError(f"each tracker is named once, not {label} {labels.count(label)} times")
+    return builders
+
+
+def _builder(label: str | None, what: Any, settings: list[str]) -> TrackerBuilder:
+    if isinstance(what, str):
+        spec = TrackerSpec.parse(what).with_settings(settings)
+        spec.check()
+        return spec if label is None else replace(spec, label=label)
+    if callable(what):
+        spec = OwnSpec(label or str(getattr(what, "__name__", what)), what)
+        spec.build()
+        return spec
+    if all(hasattr(what, name) for name in ("label", "build", "fingerprint")):
+        return cast("TrackerBuilder", what)
+    raise ValueError(f"a tracker is a name, a class with {own.PROTOCOL}, or a TrackerSpec, not {what!r}")
 
 
 def _source_digest() -> str:
     """Digest of the tracker's own files (not of this package, which only runs it)."""
     digest = hashlib.sha256()
     for path in sorted(Path(racf.__file__).parent.glob("*.py")):
-        if path.name not in {"cli.py", "commandline.py"}:
+        if path.name not in {"cli.py", "commandline.py", "errors.py", "imagefolder.py"}:
             digest.update(path.read_bytes())
     return digest.hexdigest()
-
-
-# MIL draws its features with C's rand(), whose state is the process's: else a result depends on what ran before.
-_C = ctypes.CDLL("ucrtbase" if sys.platform == "win32" else None)
-
-
-class Peer:
-    """One of OpenCV's trackers, as it comes, with or without the scale refinement behind it.
-
-    Raises ValueError where the installed OpenCV does not have it.  Its boxes are whole pixels; a frame in which it
-    finds nothing keeps the last box.
-    """
-
-    def __init__(self, name: str, *, refine: bool = False) -> None:
-        make = _opencv_maker(name)
-        if make is None:
-            raise ValueError(f"OpenCV {cv2.__version__} here has no {name} tracker; `make bench` builds one that has")
-        self._tracker = Refined(make()) if refine else make()
-        self._box = Box(0, 0, 1, 1)
-
-    def init(self, image: NDArray[np.uint8], box: Box) -> Track:
-        """Start on `box`, rounded to whole pixels; MIL with the same random features each time."""
-        _C.srand(0)
-        self._tracker.init(image, (round(box.x), round(box.y), round(box.w), round(box.h)))
-        self._box = box
-        return self._track(True)
-
-    def update(self, image: NDArray[np.uint8]) -> Track:
-        """Find the target in the next picture."""
-        found, (x, y, w, h) = self._tracker.update(image)
-        if found and w > 0 and h > 0:
-            self._box = Box(float(x), float(y), float(w), float(h))
-        return self._track(bool(found))
-
-    def _track(self, found: bool) -> Track:
-        return Track(self._box, self._box, psr=math.nan, apce=math.nan, confidence=float(found), found=found)
-
-
-def opencv_has(name: str) -> bool:
-    """Whether the installed OpenCV brings this tracker (csrt and kcf come with opencv-contrib only)."""
-    return _opencv_maker(name) is not None
-
-
-def _opencv_maker(name: str) -> Callable[[], Any] | None:
-    legacy = getattr(cv2, "legacy", None)
-    return getattr(cv2, OPENCV[name], None) or getattr(legacy, OPENCV[name], None)

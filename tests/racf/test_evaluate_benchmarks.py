@@ -230,7 +230,7 @@ def test_frames_come_from_a_folder_or_fail_with_its_name(tmp_path):
     rendered.plain_folder(tmp_path)
     assert len(list(frames_of(tmp_path / "walk"))) == 6
     (tmp_path / "walk" / "000304.png").write_bytes(b"no picture")
-    with pytest.raises(ValueError, match=r"000304\.png is not a picture"):
+    with pytest.raises(ValueError, match=r"000304\.png is not an image"):
         list(frames_of(tmp_path / "walk"))
-    with pytest.raises(ValueError, match="without pictures"):
+    with pytest.raises(ValueError, match="without images"):
         next(frames_of(tmp_path))

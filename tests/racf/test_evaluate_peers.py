@@ -1,11 +1,15 @@
 """Trackers by name: settings, fingerprints, and OpenCV's own with the refinement behind them."""
 
+import os
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
 
 import tests.support.rendered_benchmarks as rendered
 from racf.box import Box
+from racf.evaluate.peers import NETWORKS
 from racf.evaluate.trackers import OPENCV, TrackerSpec, opencv_has
 
 
@@ -17,7 +21,7 @@ def walk(name: str, frames: int = 12) -> list[Box]:
     return [tracker.update(rendered.picture(*box)).box for box in truth[1:]]
 
 
-@pytest.mark.parametrize("name", OPENCV)
+@pytest.mark.parametrize("name", sorted(set(OPENCV) - set(NETWORKS)))
 def test_opencvs_trackers_stay_on_the_target_and_refinement_does_not_make_them_worse(name):
     if not opencv_has(name):
         pytest.skip(f"this OpenCV has no {name}: it comes with opencv-contrib")
@@ -30,12 +34,42 @@ def test_opencvs_trackers_stay_on_the_target_and_refinement_does_not_make_them_w
     assert refined.mean() > plain.mean() - 0.02
 
 
+MODELS = Path(os.environ.get("RACF_DATA", Path(__file__).parents[3] / "shared" / "data")) / "models"
+NANO = [MODELS / f"nanotrack_v2_{part}.onnx" for part in ("backbone", "head")]
+
+
+@pytest.mark.skipif(not NANO[0].is_file(), reason=f"NanoTrack's networks are missing: {MODELS}")
+def test_nano_follows_the_target_with_its_networks_and_says_how_sure_it_is(capfd):
+    spec = TrackerSpec.parse(f"nano,backbone={NANO[0]},neckhead={NANO[1]}")
+    assert spec.label == "nano"
+    truth = rendered.path_of_target(5) - [1, 1, 0, 0]
+    tracker = spec.build()
+    tracker.init(rendered.picture(*truth[0]), Box(*truth[0]))
+    track = [tracker.update(rendered.picture(*box)) for box in truth[1:]][-1]
+    assert track.box.iou(Box(*truth[-1])) > 0.3
+    assert 0 < track.confidence <= 1
+    assert spec.fingerprint() == TrackerSpec.parse(f"nano,neckhead={NANO[1]},backbone={NANO[0]}").fingerprint()
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("nano", "nano needs its network: nano,backbone=FILE,neckhead=FILE"),
+        ("vit,net=nowhere.onnx", "vit: net must be a file, and nowhere.onnx is not one"),
+        ("vit,file=x", r"only the settings net=FILE, refine \(true or false\), not file=x"),
+    ],
+)
+def test_a_network_that_is_not_there_is_named(text, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        TrackerSpec.parse(text).check()
+
+
 def test_mil_finds_the_same_boxes_again_in_the_same_process():
     assert walk("mil") == walk("mil")
 
 
 def test_what_opencv_lacks_is_said_when_it_is_built():
-    lacking = [name for name in OPENCV if not opencv_has(name)]
+    lacking = [name for name in ("csrt", "kcf") if not opencv_has(name)]
     if not lacking:
         pytest.skip("this OpenCV has every tracker")
     with pytest.raises(ValueError, match=f"has no {lacking[0]} tracker; `make bench`"):

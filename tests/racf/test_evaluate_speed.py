@@ -48,7 +48,7 @@ def test_ratios_are_taken_within_a_sequence_so_that_a_slow_minute_cancels():
 
 
 def test_a_clip_without_files_is_rendered():
-    assert sum(1 for _ in Clip("x", Box(400, 300, 20, 16), count=4).pictures()) == 4
+    assert sum(1 for _ in Clip("x", Box(400, 300, 20, 16), count=4).images()) == 4
 
 
 def test_a_fresh_process_says_how_long_its_first_update_took_and_what_it_holds():

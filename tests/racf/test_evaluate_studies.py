@@ -101,7 +101,7 @@ def test_figures_are_written_as_png_and_svg_and_are_the_same_each_time(sequences
     boxes = {row.label: {s.name: s.truth for s in sequences} for row in report.rows}
 
     def draw(folder):
-        paths = [*plots.draw_curves(report, folder), *plots.draw_pictures(sequences[:2], boxes, folder / "pictures")]
+        paths = [*plots.draw_curves(report, folder), *plots.draw_images(sequences[:2], boxes, folder / "images")]
         paths += plots.draw_lines({"a": [1.0, 2.0]}, [1, 2], ("x", "y"), folder / "lines")
         return {path.name: path.read_bytes() for path in paths}
 
@@ -115,7 +115,7 @@ def test_figures_are_written_as_png_and_svg_and_are_the_same_each_time(sequences
             "success-A",
             "precision-B",
             "success-B",
-            "pictures",
+            "images",
             "lines",
         )
         for kind in ("png", "svg")
@@ -139,7 +139,7 @@ def test_attributes_have_tables_and_a_figure_where_two_sequences_share_one(tmp_p
     ]
 
 
-def test_pictures_are_of_the_sequences_that_tell_the_trackers_apart(sequences):
+def test_images_are_of_the_sequences_that_tell_the_trackers_apart(sequences):
     runs = {
         label: {
             s.name: [SequenceRun(s.truth + np.array([shift * i, 0, 0, 0]), 1.0, {})] for i, s in enumerate(sequences)
@@ -150,31 +150,31 @@ def test_pictures_are_of_the_sequences_that_tell_the_trackers_apart(sequences):
     assert report.telling_apart(2) == [sequences[3].name, sequences[2].name]
 
 
-def test_pictures_are_drawn_of_many_trackers_and_without_boxes_of_nan(sequences, tmp_path):
+def test_images_are_drawn_of_many_trackers_and_without_boxes_of_nan(sequences, tmp_path):
     boxes = {f"tracker {i}": {s.name: s.truth.copy() for s in sequences} for i in range(23)}
     boxes["tracker 3"][sequences[0].name][:] = np.nan
-    for path in plots.draw_pictures(sequences[:1], boxes, tmp_path / "pictures"):
+    for path in plots.draw_images(sequences[:1], boxes, tmp_path / "images"):
         assert path.stat().st_size > 0
 
 
-def test_pictures_without_frames_are_refused_in_one_sentence(tmp_path, capsys):
+def test_images_without_frames_are_refused_in_one_sentence(tmp_path, capsys):
     rendered.write_truth(tmp_path / "anno" / "walk.txt", rendered.path_of_target(4))
     rendered.write_truth(tmp_path / "T" / "walk.txt", rendered.path_of_target(4))
-    assert racf("eval", tmp_path, "--import", f"T={tmp_path}", "--pictures", 1, "--out", tmp_path / "out") == 2
+    assert racf("eval", tmp_path, "--import", f"T={tmp_path}", "--images", 1, "--out", tmp_path / "out") == 2
     err = capsys.readouterr().err
     assert err.count("\n") == 1
-    assert "--pictures needs frames" in err
-    with pytest.raises(ValueError, match="no sequence to draw pictures of"):
-        plots.draw_pictures([], {}, tmp_path / "pictures")
+    assert "images need frames" in err
+    with pytest.raises(ValueError, match="no sequence to draw images of"):
+        plots.draw_images([], {}, tmp_path / "images")
 
 
 def test_a_table_is_one_command(tmp_path, capsys):
     data, out = rendered.plain_folder(tmp_path / "data", frames=4), tmp_path / "out"
-    arguments = ["eval", data, "--table", 3, "--iterations", "1,2", "--jobs", 1, "--out", out, "--pictures", 1]
+    arguments = ["eval", data, "--table", 3, "--iterations", "1,2", "--jobs", 1, "--out", out, "--images", 1]
     assert racf(*arguments) == 0
     assert "Table 3" in capsys.readouterr().out
     assert (out / "tables.md").read_text().startswith("## Table 3")
-    for name in ("table3.png", "table3.svg", "pictures.png", "pictures.svg"):
+    for name in ("table3.png", "table3.svg", "images.png", "images.svg"):
         assert (out / name).stat().st_size > 0
 
 
@@ -182,9 +182,9 @@ def test_a_table_is_one_command(tmp_path, capsys):
     ("options", "named"),
     [
         (["--table", 7], "7"),
-        (["--table", 3, "--tracker", "racf"], "--table 3"),
+        (["--table", 3, "--tracker", "racf"], "table 3"),
         (["--table", 3, "--iterations", "one"], "one"),
-        (["--pictures", 2], "--out"),
+        (["--images", 2], "out"),
         (["--jitter", -1], "-1"),
     ],
 )

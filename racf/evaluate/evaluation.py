@@ -1,0 +1,217 @@
+"""The whole evaluation in one call: what `racf eval` does, for a notebook or a program."""
+
+import fnmatch
+import json
+import os
+import sys
+from collections.abc import Callable, Collection, Iterable
+from contextlib import nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from racf.errors import UsageError
+from racf.evaluate import plots, studies
+from racf.evaluate.benchmarks import BENCHMARKS, Sequence, is_known, read_benchmark
+from racf.evaluate.figures import TrackerFigures
+from racf.evaluate.imports import import_boxes
+from racf.evaluate.metrics import Boxes
+from racf.evaluate.own import OwnSpec
+from racf.evaluate.progress import bar
+from racf.evaluate.report import Report, Table, build_report
+from racf.evaluate.runner import SequenceRun, TrackerBuilder, run_all, tasks
+from racf.evaluate.stored import Stored, with_results
+from racf.evaluate.trackers import builders_of
+
+Runs = dict[str, dict[str, list[SequenceRun]]]
+WRITTEN = ("report.json", "tables.md", "precision*", "success*", "images.*", "pictures.*", "table[2-5].*")
+WRITTEN_KINDS = {".json", ".md", ".png", ".svg"}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evaluation:
+    """What an evaluation gave.
+
+    report: the scores, to be asked by benchmark, attribute or sequence (`racf.evaluate.report.Report`).
+    summary: tables of all trackers over all sequences, shown as such by a notebook; `summary[0].markdown()` is text.
+    details: tables by benchmark, attribute and sequence.
+    boxes: by label and sequence, (frames, 4) `x, y, w, h` in the benchmarks' 1-based pixels, from the annotated start.
+    """
+
+    report: Report
+    summary: tuple[Table, ...]
+    details: tuple[Table, ...]
+    boxes: dict[str, dict[str, Boxes]]
+
+    def figures(self) -> dict[str, TrackerFigures]:
+        """Every figure by tracker: what `racf eval --json` prints (docs/evaluation.md)."""
+        return self.report.as_json()
+
+    def write(self, folder: Path, images: int = 0) -> list[Path]:
+        """Leave report.json, tables.md and the plots, and draw all boxes on frames of so many sequences.
+
+        What an earlier evaluation left under these names goes; boxes in `folder/runs` stay.
+        """
+        folder.mkdir(parents=True, exist_ok=True)
+        for old in (path for pattern in WRITTEN for path in folder.glob(pattern)):
+            if old.suffix in WRITTEN_KINDS:
+                old.unlink()
+        written = [folder / "report.json", folder / "tables.md"]
+        written[0].write_text(json.dumps(self.figures(), indent=1) + "\n")
+        written[1].write_text("\n".join(table.markdown() for table in (*self.summary, *self.details)))
+        written += [*plots.draw_curves(self.report, folder), *plots.draw_attributes(self.report, folder)]
+        if images:
+            chosen = self.report.telling_apart(images)
+            shown = [s for s in self.report.sequences if s.name in chosen]
+            written += plots.draw_images(shown, self.boxes, folder / "images")
+        return written
+
+
+def to_stderr(text: str) -> None:
+    """Print a line on standard error."""
+    print(text, file=sys.stderr)  # noqa: T201 - what is left out of an evaluation is said
+
+
+def evaluate(
+    root: str | Path,
+    *,
+    benchmark: str = "folder",
+    trackers: Any = None,
+    settings: Collection[str] = (),
+    imports: Collection[str] = (),
+    only: Collection[str] = (),
+    jitter: int = 0,
+    table: int | None = None,
+    sweep: studies.Sweep | None = None,
+    images: int = 0,
+    out: str | Path | None = None,
+    jobs: int = 0,
+    dask: str | None = None,
+    progress: bool = True,
+    notify: Callable[[str], None] = to_stderr,
+) -> Evaluation:
+    """Run trackers over a benchmark's sequences once each and compare their boxes with the annotation.
+
+        evaluation = racf.evaluate.evaluate("DATA", trackers=["racf", "bacf", MyTracker], jitter=5, out="results")
+        evaluation.summary[0]                         # a table; in a notebook it is shown as one
+        evaluation.figures()["racf"]["auc"]           # percent
+        evaluation.boxes["MyTracker"]["car1"]         # (frames, 4)
+
+    root: folder of the benchmark.
+    benchmark: its layout: folder, uav123, uav123@10fps, dtb70, uavdt or visdrone2018.
+    trackers: names (racf, racf-, racf--, bacf, arcf-hc and settings; OpenCV's csrt, kcf, mil, nano, vit; module:Class),
+        classes of your own (`racf.evaluate.own` has the four lines they need), or a mapping of labels to these.
+        By default racf, unless boxes are imported.
+    settings: key=value for all trackers that are named.
+    imports: stored boxes to compare with: NAME=DIR, DIR for all trackers in it, or the `out` folder of an evaluation.
+    only: patterns of the sequences to use, by name or benchmark/name.
+    jitter: start each sequence this many times more, from slightly wrong first boxes.
+    table, sweep: lay the results out as this table of the paper, 2 to 5, over these iterations and weights.
+    out: folder for boxes, tables and plots; a later call with the same `out` goes on from the boxes there.
+    images: with out, draw all boxes on frames of so many sequences, those that tell the trackers apart most.
+    jobs: processes (0: one for each core).  dask: address of a Dask scheduler to run on instead.
+    progress: show a bar on standard error.  notify: is given a line for each thing left out.
+
+    The first tracker is the one that the others' paired differences are to.  Raises ValueError, which names the thing,
+    the rule and the value, before anything runs.
+    """
+    sweep = sweep or studies.Sweep()
+    _check(table, images, out, jitter, jobs, given=bool(trackers or imports))
+    usual = () if imports else ("racf",) if table is None else studies.trackers_of(table, sweep)
+    builders = _builders(trackers or usual, settings)
+    sequences = _sequences(Path(root), benchmark, only)
+    if images and not any(s.frames for s in sequences):
+        raise UsageError(f"images need frames to draw on; the sequences of {root} have none")
+    stored = import_boxes(imports, sequences, [b.label for b in builders], notify)
+    folder = None if out is None else Path(out)
+    runs = _run(builders, sequences, jitter, jobs=jobs, folder=folder, dask=dask, progress=progress)
+    evaluation = _judge(Path(root), sequences, runs, stored, table, sweep)
+    if folder is not None:
+        written = evaluation.write(folder, images)
+        written += studies.draw(table, evaluation.report, sweep, folder) if table is not None else []
+        notify(f"report.json, tables.md and {len(written) - 2} figures are in {folder}")
+    return evaluation
+
+
+def select(root: Path, only: Iterable[str], sequences: list[Sequence]) -> list[Sequence]:
+    """The sequences that match one of the patterns, by name or benchmark/name; all where there is no pattern."""
+    only = list(only)
+    chosen = [s for s in sequences if not only or any(_matches(s, pattern) for pattern in only)]
+    if not chosen:
+        raise UsageError(f"only {' '.join(only)} leaves none of the {len(sequences)} sequences of {root}")
+    return chosen
+
+
+def _check(table: int | None, images: int, out: object, jitter: int, jobs: int, *, given: bool) -> None:
+    for name, number in (("jitter", jitter), ("jobs", jobs), ("images", images)):
+        if number < 0:
+            raise UsageError(f"{name} is at least 0, not {number}")
+    if table not in {None, 2, 3, 4, 5}:
+        raise UsageError(f"table is 2, 3, 4 or 5, not {table}")
+    if table in {3, 4} and given:
+        raise UsageError(f"table {table} names its own trackers; leave out trackers and imports")
+    if images and out is None:
+        raise UsageError("images need out, the folder to draw into")
+
+
+def _builders(trackers: Any, settings: Collection[str]) -> list[TrackerBuilder]:
+    try:
+        return builders_of(trackers, settings)
+    except ValueError as error:
+        raise UsageError(str(error)) from None
+
+
+def _sequences(root: Path, benchmark: str, only: Iterable[str]) -> list[Sequence]:
+    if not root.is_dir():
+        raise UsageError(f"a folder of sequences is needed; {root} is not a folder")
+    if not is_known(benchmark):
+        raise UsageError(f"benchmark is one of {', '.join(BENCHMARKS)}, not {benchmark!r}")
+    return select(root, only, read_benchmark(benchmark, root))
+
+
+def _matches(sequence: Sequence, pattern: str) -> bool:
+    names = (sequence.name, f"{sequence.benchmark}/{sequence.name}")
+    return any(fnmatch.fnmatchcase(name, pattern) for name in names)
+
+
+def _run(
+    builders: list[TrackerBuilder],
+    sequences: list[Sequence],
+    jitter: int,
+    *,
+    jobs: int,
+    folder: Path | None,
+    dask: str | None,
+    progress: bool,
+) -> Runs:
+    todo = [task for b in builders for sequence in sequences for task in tasks(b, sequence, jitter)]
+    if not todo:
+        return {}
+    # A class from a notebook or a prompt cannot be imported by other processes: it runs in this one.
+    here = any(isinstance(b, OwnSpec) and not b.travels for b in builders)
+    processes = 1 if here else jobs or len(os.sched_getaffinity(0))
+    with bar(todo) if progress else nullcontext() as shown:
+        done = shown.done if shown else lambda *_: None
+        runs = run_all(todo, jobs=processes, folder=folder, dask=None if here else dask, done=done)
+    return {
+        b.label: {s.name: [runs[b.label, s.name, i] for i in range(1 + jitter)] for s in sequences} for b in builders
+    }
+
+
+def _judge(
+    root: Path,
+    sequences: list[Sequence],
+    runs: Runs,
+    stored: dict[str, Stored],
+    table: int | None,
+    sweep: studies.Sweep,
+) -> Evaluation:
+    report = build_report(sequences, runs, stored, with_results(root / "results", sequences))
+    if table is None:
+        difference = report.differences()
+        summary = (report.overall(), *([difference] if difference else []))
+    else:
+        summary = (studies.lay_out(table, report, sweep),)
+    boxes = {label: {name: of[0].boxes for name, of in by_name.items()} for label, by_name in runs.items()}
+    boxes |= {label: left.boxes for label, left in stored.items()}
+    return Evaluation(report, summary, (*report.by_group(), report.by_sequence()), boxes)

@@ -1,0 +1,96 @@
+"""What an evaluation leaves in `OUT/runs`, and how a later one finds it again.
+
+OUT/runs/<label>-<fingerprint>/<benchmark>/<sequence>[.startN].txt     boxes, 1-based, a line a frame
+OUT/runs/<label>-<fingerprint>/<benchmark>/<sequence>[.startN].json    key, label, frames per second, stage times
+"""
+
+import json
+import os
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from racf.evaluate.benchmarks import Sequence
+from racf.evaluate.boxfiles import read_boxes, write_boxes
+from racf.evaluate.stored import Stored
+
+if TYPE_CHECKING:
+    from racf.evaluate.runner import SequenceRun, Task
+
+FOLDER = "runs"
+
+
+def store(folder: Path, task: "Task", run: "SequenceRun") -> None:
+    """Leave the boxes, then the note that vouches for them: an interruption in between leaves no note."""
+    boxes, note = _places(folder, task)
+    boxes.parent.mkdir(parents=True, exist_ok=True)
+    note.unlink(missing_ok=True)
+    write_boxes(boxes, run.boxes)
+    half = note.with_suffix(".part")
+    known = {"key": task.key(), "label": task.spec.label, "fps": run.fps, "stage_ms": run.stage_ms}
+    half.write_text(json.dumps(known))
+    half.replace(note)
+
+
+def find(folder: Path, task: "Task") -> tuple[Path, dict[str, Any]] | None:
+    """The file of boxes and the note that an earlier evaluation left, if they are of this very task."""
+    boxes, note = _places(folder, task)
+    if not note.is_file():
+        return None
+    known = json.loads(note.read_text())
+    return (boxes, known) if known["key"] == task.key() else None
+
+
+def read_outcomes(folder: Path, sequences: Iterable[Sequence]) -> dict[str, Stored]:
+    """The results by label that an evaluation left in `folder`; of two with one label the newer.
+
+    Empty where `folder` is not the output of an evaluation.
+    """
+    sequences = list(sequences)
+    newest: dict[str, tuple[float, Path]] = {}
+    for place in _trackers(folder):
+        notes = list(place.glob("*/*.json"))
+        if notes:
+            label = str(json.loads(notes[0].read_text()).get("label", place.name.rpartition("-")[0]))
+            newest[label] = max(newest.get(label, (0.0, place)), (max(n.stat().st_mtime for n in notes), place))
+    return {label: _read(place, sequences) for label, (_, place) in sorted(newest.items())}
+
+
+def _trackers(folder: Path) -> Iterator[Path]:
+    """Folders of one tracker each: below OUT, OUT/runs, or `folder` itself where it is one of them."""
+    root = folder / FOLDER if (folder / FOLDER).is_dir() else folder
+    if root.name != FOLDER:
+        if root.parent.name == FOLDER:
+            yield root
+        return
+    yield from sorted(place for place in root.iterdir() if place.is_dir())
+
+
+def _read(place: Path, sequences: list[Sequence]) -> Stored:
+    found = Stored({})
+    for sequence in sequences:
+        stem = place / sequence.benchmark / sequence.name.rpartition("/")[2]
+        boxes, note = Path(f"{stem}.txt"), Path(f"{stem}.json")
+        if not note.is_file():
+            continue
+        found.boxes[sequence.name] = _checked(boxes, sequence)
+        found.fps[sequence.name] = float(json.loads(note.read_text())["fps"])
+        starts = sorted(boxes.parent.glob(f"{stem.name}.start*.txt"), key=lambda p: int(p.stem.rpartition(".start")[2]))
+        if starts:
+            found.jittered[sequence.name] = [_checked(path, sequence) for path in starts]
+    return found
+
+
+def _checked(path: Path, sequence: Sequence) -> Any:
+    boxes = read_boxes(path)
+    if len(boxes) != len(sequence.truth):
+        raise ValueError(f"{path}: {len(sequence.truth)} boxes are needed, one a frame, not {len(boxes)}")
+    return boxes
+
+
+def _places(folder: Path, task: "Task") -> tuple[Path, Path]:
+    start = f".start{task.start}" if task.start else ""
+    tracker = f"{task.spec.label.replace(os.sep, '_')}-{task.spec.fingerprint()}"
+    stem = task.sequence.rpartition("/")[2] + start
+    place = folder / FOLDER / tracker / task.benchmark
+    return place / f"{stem}.txt", place / f"{stem}.json"

@@ -1,0 +1,112 @@
+"""OpenCV's own trackers, with or without the scale refinement behind them.
+
+name   settings                        comes with
+csrt   refine                          opencv-contrib (`make bench` builds an environment that has it)
+kcf    refine                          opencv-contrib
+mil    refine                          every OpenCV
+nano   backbone=FILE, neckhead=FILE, refine   every OpenCV; the two ONNX files are NanoTrack v2's
+vit    net=FILE, refine                every OpenCV; the ONNX file is VitTrack's
+"""
+
+import ctypes
+import hashlib
+import math
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from racf.box import Box
+from racf.refine import Refined
+from racf.track import Track
+
+OPENCV = {"csrt": "TrackerCSRT", "kcf": "TrackerKCF", "mil": "TrackerMIL", "nano": "TrackerNano", "vit": "TrackerVit"}
+NETWORKS = {"nano": ("backbone", "neckhead"), "vit": ("net",)}  # OpenCV's names of the files that a tracker needs
+PEERS = ("csrt", "kcf")  # those that a drone's computer could run instead of ours
+
+# MIL draws its features with C's rand(), whose state is the process's: without a seed, what ran before would matter.
+_C = ctypes.CDLL("ucrtbase" if sys.platform == "win32" else None)
+
+
+class Peer:
+    """One of OpenCV's trackers.  `files` holds the paths of `NETWORKS`.
+
+    Its boxes are whole pixels; in a frame in which it finds nothing it keeps the last box.  Raises ValueError if the
+    installed OpenCV does not have it or cannot read its files.
+    """
+
+    def __init__(self, name: str, *, refine: bool = False, files: Mapping[str, str] | None = None) -> None:
+        make = _opencv_maker(name)
+        if make is None:
+            raise ValueError(f"OpenCV {cv2.__version__} here has no {name} tracker; `make bench` builds one that has")
+        try:
+            tracker = make(_opencv_parameters(name, files)) if files else make()
+        except cv2.error as error:
+            raise ValueError(f"OpenCV cannot build {name} from {files}: {' '.join(str(error).split())}") from None
+        self._tracker = Refined(tracker) if refine else tracker
+        self._score: Callable[[], float] | None = getattr(tracker, "getTrackingScore", None)
+        self._box = Box(0, 0, 1, 1)
+
+    def init(self, image: NDArray[np.uint8], box: Box) -> Track:
+        """Start on `box`, rounded to whole pixels; MIL draws the same random features each time."""
+        _C.srand(0)
+        self._tracker.init(image, (round(box.x), round(box.y), round(box.w), round(box.h)))
+        self._box = box
+        return self._track(True)
+
+    def update(self, image: NDArray[np.uint8]) -> Track:
+        """Find the target in the next image."""
+        found, (x, y, w, h) = self._tracker.update(image)
+        if found and w > 0 and h > 0:
+            self._box = Box(float(x), float(y), float(w), float(h))
+        return self._track(bool(found), self._score() if self._score else None)
+
+    def _track(self, found: bool, score: float | None = None) -> Track:
+        confidence = float(found) if score is None else min(max(float(score), 0.0), 1.0)
+        return Track(self._box, self._box, psr=math.nan, apce=math.nan, confidence=confidence, found=found)
+
+
+def opencv_has(name: str) -> bool:
+    """Whether the installed OpenCV brings this tracker."""
+    return _opencv_maker(name) is not None
+
+
+def peer_settings(name: str, settings: Mapping[str, str]) -> tuple[bool, dict[str, str]]:
+    """Whether to refine, and the network files; raises ValueError for another setting or a missing file."""
+    files, wanted = dict[str, str](), NETWORKS.get(name, ())
+    for key, value in settings.items():
+        if key in wanted:
+            files[key] = value
+        elif key != "refine" or value not in {"true", "false"}:
+            known = ", ".join([*(f"{file}=FILE" for file in wanted), "refine (true or false)"])
+            raise ValueError(f"OpenCV's {name} has only the settings {known}, not {key}={value}")
+    for key in wanted:
+        if key not in files:
+            raise ValueError(f"OpenCV's {name} needs its network: {name},{','.join(f'{file}=FILE' for file in wanted)}")
+        if not Path(files[key]).is_file():
+            raise ValueError(f"OpenCV's {name}: {key} must be a file, and {files[key]} is not one")
+    return settings.get("refine") == "true", files
+
+
+def digest_of(files: Mapping[str, str]) -> str:
+    """Digest of the content of network files."""
+    digest = hashlib.sha256()
+    for key in sorted(files):
+        digest.update(Path(files[key]).read_bytes())
+    return digest.hexdigest()
+
+
+def _opencv_maker(name: str) -> Callable[..., Any] | None:
+    legacy = getattr(cv2, "legacy", None)
+    return getattr(cv2, f"{OPENCV[name]}_create", None) or getattr(legacy, f"{OPENCV[name]}_create", None)
+
+
+def _opencv_parameters(name: str, files: Mapping[str, str]) -> Any:
+    parameters = getattr(cv2, f"{OPENCV[name]}_Params")()
+    for key, path in files.items():
+        setattr(parameters, key, path)
+    return parameters

@@ -1,0 +1,153 @@
+"""One box through one video or folder of images: what `racf track` does."""
+
+import csv
+from collections.abc import Generator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from racf.box import Box
+from racf.evaluate.boxfiles import read_boxes, write_boxes
+from racf.evaluate.images import frames_of
+from racf.evaluate.metrics import Boxes, Convention, Score, score
+from racf.evaluate.runner import TrackerBuilder
+from racf.track import Track
+
+COLUMNS = ("frame", "x_px", "y_px", "w_px", "h_px", "confidence", "found", "refined", "psr", "apce", "tracker_ms")
+VIDEO_SUFFIXES = (".mp4", ".avi", ".mkv")
+OVERLAY_FPS = 30.0  # of a folder of images, which does not say
+FOUND, LOST, ANNOTATION = (0, 220, 0), (0, 0, 255), (255, 255, 255)  # BGR
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tracked:
+    """The tracker's answers, one for each frame (the first is the start), and the milliseconds that each took."""
+
+    tracks: list[Track]
+    ms: list[float]
+
+    @property
+    def boxes(self) -> Boxes:
+        """(frames, 4): x, y, w, h in 0-based pixels."""
+        return np.array([[t.box.x, t.box.y, t.box.w, t.box.h] for t in self.tracks], dtype=np.float64)
+
+    @property
+    def fps(self) -> float:
+        """Frames per second of the tracker's own time."""
+        return 1000 * (len(self.ms) - 1) / sum(self.ms[1:]) if sum(self.ms[1:]) else 0.0
+
+    def score(self, truth: Boxes, convention: Convention = Convention.TOOLKIT) -> Score:
+        """Judge the boxes by an annotation in 1-based pixels, over the frames that it has."""
+        frames = min(len(truth), len(self.tracks))
+        return score(self.boxes[:frames] + np.array([1, 1, 0, 0]), truth[:frames], convention)
+
+    def write(self, out: Path) -> Path:
+        """Write the boxes to `out`, and beside it, as .csv, the same with confidence and found; returns that file."""
+        out.parent.mkdir(parents=True, exist_ok=True)
+        write_boxes(out, self.boxes)
+        beside = out.with_suffix(".csv")
+        with beside.open("w", newline="") as file:
+            rows = csv.writer(file)
+            rows.writerow(COLUMNS)
+            for frame, (t, ms) in enumerate(zip(self.tracks, self.ms, strict=True)):
+                place = (f"{v:.3f}" for v in (t.box.x, t.box.y, t.box.w, t.box.h))
+                sharp = (f"{t.psr:.3f}", f"{t.apce:.3f}", f"{ms:.3f}")
+                rows.writerow([frame, *place, f"{t.confidence:.4f}", int(t.found), int(t.refined), *sharp])
+        return beside
+
+
+def read_truth(path: Path) -> tuple[Boxes, Box]:
+    """An annotation in 1-based pixels, and the target that its first row shows, in 0-based ones."""
+    truth = read_boxes(path)
+    x, y, w, h = (float(v) for v in truth[0])
+    try:
+        return truth, Box(x - 1, y - 1, w, h)
+    except ValueError as error:
+        raise ValueError(f"{path}: the first annotation cannot start a tracker: {error}") from None
+
+
+def track(
+    source: Path, target: Box, spec: TrackerBuilder, truth: Boxes | None = None, overlay: Path | None = None
+) -> Tracked:
+    """Follow `target` from the first image of a video file or folder of images to the last.
+
+    `overlay` names a video to write, in which the tracker's box (green, red while it is not found), its confidence
+    and the annotation `truth` (white, 1-based) are drawn.  Raises ValueError or OSError for what cannot be read.
+    """
+    tracker, tracks, times = spec.build(), list[Track](), list[float]()
+    with _writer(overlay, source) as write:
+        for image in frames_of(source):
+            began = perf_counter()
+            answer = tracker.update(image) if tracks else tracker.init(image, target)
+            times.append(1000 * (perf_counter() - began))
+            if write is not None:
+                row = truth[len(tracks)] if truth is not None and len(tracks) < len(truth) else None
+                write.put(drawn(image, answer, row))
+            tracks.append(answer)
+    return Tracked(tracks, times)
+
+
+def drawn(image: NDArray[np.uint8], track: Track, truth: NDArray[np.float64] | None) -> NDArray[np.uint8]:
+    """A copy of a BGR image with the tracker's box and confidence, and the annotation (x, y, w, h, 1-based) if any."""
+    copy = np.array(image, dtype=np.uint8)
+    if truth is not None and np.isfinite(truth).all():
+        _rectangle(copy, (truth[0] - 1, truth[1] - 1, truth[2], truth[3]), ANNOTATION)
+    box, colour = track.box, FOUND if track.found else LOST
+    _rectangle(copy, (box.x, box.y, box.w, box.h), colour)
+    text = f"{track.confidence:.2f}" + ("" if track.found else " lost")
+    cv2.putText(copy, text, (round(box.x), max(round(box.y) - 4, 12)), cv2.FONT_HERSHEY_SIMPLEX, 0.5, colour, 1)
+    return copy
+
+
+def _rectangle(image: NDArray[np.uint8], box: tuple[float, float, float, float], colour: tuple[int, int, int]) -> None:
+    x, y, w, h = box
+    cv2.rectangle(image, (round(x), round(y)), (round(x + w), round(y + h)), colour, 1)
+
+
+class _Video:
+    """A video file that takes its size from its first image."""
+
+    def __init__(self, path: Path, fps: float) -> None:
+        self._path, self._fps = path, fps
+        self._video: cv2.VideoWriter | None = None
+
+    def put(self, image: NDArray[np.uint8]) -> None:
+        if self._video is None:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            code = cv2.VideoWriter.fourcc(*("MJPG" if self._path.suffix == ".avi" else "mp4v"))
+            self._video = cv2.VideoWriter(str(self._path), code, self._fps, (image.shape[1], image.shape[0]))
+            if not self._video.isOpened():
+                raise OSError(f"{self._path} cannot be written as a video")
+        self._video.write(image)
+
+    def close(self) -> None:
+        if self._video is not None:
+            self._video.release()
+
+
+@contextmanager
+def _writer(overlay: Path | None, source: Path) -> Generator[_Video | None]:
+    if overlay is None:
+        yield None
+        return
+    if overlay.suffix.lower() not in VIDEO_SUFFIXES:
+        raise ValueError(f"an overlay is a video file ({', '.join(VIDEO_SUFFIXES)}), not {overlay}")
+    video = _Video(overlay, _fps_of(source))
+    try:
+        yield video
+    finally:
+        video.close()
+
+
+def _fps_of(source: Path) -> float:
+    if source.is_dir():
+        return OVERLAY_FPS
+    video = cv2.VideoCapture(str(source))
+    fps = float(video.get(cv2.CAP_PROP_FPS))
+    video.release()
+    return fps if 0 < fps <= 1000 else OVERLAY_FPS

@@ -1,0 +1,266 @@
+"""The evaluation as a library: what the command does, with trackers of your own, and compared with earlier results."""
+
+import json
+import os
+import subprocess
+import sys
+
+import cv2
+import numpy as np
+import pytest
+
+import racf
+import tests.support.rendered_benchmarks as rendered
+from racf.evaluate import evaluate
+from racf.evaluate.boxfiles import write_boxes
+from racf.evaluate.images import read_frame
+from racf.evaluate.imports import import_boxes
+from racf.evaluate.metrics import interval_of_mean
+from tests.racf.test_cli import racf as command
+
+NAMES = ("one", "two", "three")
+
+
+class Still:
+    """Keeps the first box; the four lines that a tracker of one's own needs."""
+
+    def __init__(self, dx: int = 0) -> None:
+        self.dx = dx
+
+    def init(self, image, box):
+        self.box = (box.x + self.dx, box.y, box.w, box.h)
+
+    def update(self, image):
+        return self.box
+
+
+class Template(Still):
+    """The best match of the first frame's pixels."""
+
+    def init(self, image, box):
+        super().init(image, box)
+        x, y, w, h = (round(v) for v in self.box)
+        self.target = image[y : y + h, x : x + w]
+
+    def update(self, image):
+        _, _, _, at = cv2.minMaxLoc(cv2.matchTemplate(image, self.target, cv2.TM_CCOEFF_NORMED))
+        return racf.Box(*at, *self.box[2:])
+
+
+class Blind(Still):
+    """Never finds anything."""
+
+    def update(self, image):
+        return None
+
+
+@pytest.fixture
+def data(tmp_path):
+    return rendered.plain_folder(tmp_path / "data", NAMES, frames=8, benchmark="Bench")
+
+
+def test_the_library_does_what_the_command_does(data, tmp_path, capsys):
+    wanted = evaluate(data, trackers="racf-", jitter=1, jobs=1, out=tmp_path / "a", only=["t*"], progress=False)
+    arguments = ["--tracker", "racf-", "--jitter", 1, "--jobs", 1, "--out", tmp_path / "a", "--only", "t*", "--json"]
+    capsys.readouterr()
+    assert command("eval", data, *arguments) == 0
+    assert json.loads(capsys.readouterr().out) == wanted.figures()
+    assert list(wanted.boxes["racf-"]) == ["three", "two"]
+    assert "| racf- |" in wanted.summary[0].markdown()
+
+
+def test_it_is_reached_from_the_package_and_explains_itself():
+    lines = "import racf, sys; help(racf.evaluate.evaluate); print('cv2' in sys.modules)"
+    out = subprocess.run([sys.executable, "-c", lines], capture_output=True, text=True, check=True).stdout
+    for word in ("trackers:", "imports:", "jitter:", "csrt", "module:Class", "MyTracker", "Raises ValueError"):
+        assert word in out
+    assert "evaluate" in dir(racf.evaluate)
+    with pytest.raises(AttributeError, match="has no attribute 'evalute'"):
+        _ = racf.evaluate.evalute
+
+
+def test_a_class_of_ones_own_is_a_tracker(data):
+    trackers = {"best": Template, "still": Still, "blind": Blind}
+    evaluation = evaluate(data, trackers=trackers, jobs=1, progress=False)
+    figures = evaluation.figures()
+    assert figures["best"]["auc"] > 90
+    assert evaluation.boxes["blind"].keys() == evaluation.boxes["still"].keys()
+    for name, boxes in evaluation.boxes["still"].items():
+        assert (boxes == boxes[0]).all()
+        assert (boxes == evaluation.boxes["blind"][name]).all()
+
+
+def test_a_class_named_on_the_command_line_runs_in_other_processes(data, tmp_path, monkeypatch, capsys):
+    (tmp_path / "mine.py").write_text(
+        "class Mine:\n"
+        "    def __init__(self, dx=0): self.dx = dx\n"
+        "    def init(self, image, box): self.box = box\n"
+        "    def update(self, image): self.box = self.box.moved(self.dx, 1); return self.box\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    arguments = ["--tracker", "mine:Mine,dx=2", "--tracker", "mine:Mine", "--jobs", 2, "--json"]
+    assert command("eval", data, *arguments) == 0
+    figures = json.loads(capsys.readouterr().out)
+    assert figures["mine:Mine,dx=2"]["auc"] == pytest.approx(100 * 20 / 21)  # the target walks (2, 1) a frame
+    assert figures["mine:Mine"]["auc"] < 90
+
+
+def test_results_of_a_class_are_reused_until_its_source_changes(data, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    source = "class Again:\n    def init(self, image, box): self.box = box\n"
+    source += "    def update(self, image): return self.box\n"
+    prints = []
+    for text in (source, source, source.replace("return self.box", "return None")):
+        (tmp_path / "again.py").write_text(text)
+        prints.append(racf.evaluate.TrackerSpec.parse("again:Again").fingerprint())
+    assert prints[0] == prints[1] != prints[2]
+
+
+class Nothing:
+    """No tracker."""
+
+
+@pytest.mark.parametrize(
+    ("tracker", "sentence"),
+    [
+        (Nothing, "tracker Nothing: it needs two methods, init.* init is missing"),
+        ("nowhere_at_all:Mine", "module 'nowhere_at_all' cannot be imported"),
+        ("json:Nothing", "json has no class 'Nothing'"),
+        ("tests.racf.test_evaluate_evaluation:Still,speed=3", "cannot be built: .*speed"),
+        ("rafc", "'rafc' is not known; known are racf, .*csrt, kcf, mil, nano, vit, and your own as module:Class"),
+        (3, "a tracker is a name, a class with init.*, not 3"),
+        (["racf", "racf"], "each tracker is named once, not racf 2 times"),
+    ],
+)
+def test_what_is_no_tracker_is_refused_before_anything_runs(tracker, sentence, data):
+    trackers = tracker if isinstance(tracker, (str, list)) else [tracker]
+    with pytest.raises(ValueError, match=sentence):
+        evaluate(data, trackers=trackers, progress=False)
+
+
+def test_an_answer_that_is_no_box_is_named(data):
+    class Wrong(Still):
+        def update(self, image):
+            return "there"
+
+    with pytest.raises(ValueError, match=r"tracker Wrong: update gives a racf\.Box.*, not 'there'"):
+        evaluate(data, trackers=Wrong, progress=False)
+
+
+def test_a_difference_is_paired_by_sequence(data):
+    figures = evaluate(data, trackers={"a": Template, "b": Still}, jitter=2, jobs=1, progress=False).figures()
+    assert "difference" not in figures["a"]
+    found = figures["b"]["difference"]
+    of = {name: [figures[name]["sequences"][s]["auc"] for s in NAMES] for name in "ab"}
+    pairs = [b - a for a, b in zip(of["a"], of["b"], strict=True)]
+    assert found["to"] == "a"
+    assert found["auc"] == pytest.approx(np.mean(pairs), abs=1e-5)
+    assert found["interval_95"]["auc"] == pytest.approx(interval_of_mean(pairs), abs=0.01)
+    jittered = [figures[name]["jittered"]["auc"] for name in "ab"]
+    assert found["jittered"]["auc"] == pytest.approx(jittered[1] - jittered[0], abs=1e-5)
+
+
+def test_the_output_folder_of_an_evaluation_is_imported_with_its_starts(data, tmp_path):
+    ran = {}
+    for out, tracker in (("before", Still), ("after", Template)):
+        ran[out] = evaluate(data, trackers={"mine": tracker}, jitter=1, jobs=1, out=tmp_path / out, progress=False)
+    both = evaluate(data, imports=[str(tmp_path / "before"), str(tmp_path / "after")])
+    assert list(both.figures()) == ["mine", "mine (after)"]
+    for label, out in (("mine", "before"), ("mine (after)", "after")):
+        wanted, found = ran[out].figures()["mine"], both.figures()[label]
+        assert {key: found[key] for key in wanted} == wanted
+    assert "jittered" in both.figures()["mine (after)"]["difference"]
+    named = evaluate(data, imports=[f"old={tmp_path / 'before'}", f"new={tmp_path / 'after' / 'runs'}"])
+    assert list(named.figures()) == ["old", "new"]
+    again = evaluate(data, trackers={"mine": Still}, imports=[str(tmp_path / "before")], jobs=1, progress=False)
+    assert list(again.figures()) == ["mine", "mine (before)"]
+
+
+def test_of_an_evaluation_of_several_trackers_one_is_named(data, tmp_path):
+    evaluate(data, trackers={"a": Still, "b": Template}, jobs=1, out=tmp_path / "out", progress=False)
+    assert list(evaluate(data, imports=[f"b={tmp_path / 'out'}"]).figures()) == ["b"]
+    with pytest.raises(ValueError, match="holds a, b; NAME is one of these"):
+        evaluate(data, imports=[f"c={tmp_path / 'out'}"])
+    other = rendered.plain_folder(tmp_path / "other", ("four",), benchmark="Bench")
+    with pytest.raises(ValueError, match="has none of the sequences"):
+        evaluate(other, imports=[str(tmp_path / "out")])
+
+
+def test_of_two_results_with_one_label_the_newer_is_imported(data, tmp_path):
+    sequences = racf.evaluate.read_benchmark("folder", data)
+    for place, shift in (("mine-1", 5), ("mine-2", 0)):
+        for s in sequences:
+            path = tmp_path / "runs" / place / s.benchmark / s.name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_boxes(path.with_suffix(".txt"), s.truth + np.array([shift, 0, 0, 0]))
+            path.with_suffix(".json").write_text(json.dumps({"key": "x", "fps": 10.0}))
+    (stored,) = import_boxes([str(tmp_path)], sequences, [], print).values()
+    assert all((stored.boxes[s.name] == s.truth).all() for s in sequences)
+
+
+def test_images_show_the_annotation_and_a_reused_folder_keeps_no_stale_ones(data, tmp_path):
+    out = tmp_path / "out"
+    evaluate(data, trackers={"far": Still}, images=2, out=out, jobs=1, progress=False)
+    svg = (out / "images.svg").read_text()
+    assert "annotation" in svg
+    (out / "success-notes.txt").write_text("mine")
+    evaluate(data, trackers={"far": Still}, out=out, jobs=1, progress=False)
+    left = {path.name for path in out.iterdir()}
+    assert not {"images.png", "images.svg"} & left
+    assert {"report.json", "precision.png", "success-notes.txt", "runs"} <= left
+
+
+def test_track_writes_confidence_and_draws_what_it_found(data, tmp_path, capsys):
+    source, out, film = data / "Bench" / "one", tmp_path / "boxes.txt", tmp_path / "film.mp4"
+    truth = source / "groundtruth_rect.txt"
+    assert command("track", source, "--truth", truth, "--out", out, "--overlay", film, "--tracker", "racf,robust") == 0
+    assert "precision at 20 px 100.0 %" in capsys.readouterr().err
+    rows = np.genfromtxt(tmp_path / "boxes.csv", delimiter=",", names=True)
+    assert len(rows) == 8
+    assert (rows["found"] == 1).all()
+    assert ((rows["confidence"] > 0) & (rows["confidence"] <= 1)).all()
+    assert rows["x_px"] == pytest.approx(np.loadtxt(out, delimiter=",")[:, 0])
+    video = cv2.VideoCapture(str(film))
+    shown = [image for good, image in (video.read() for _ in range(8)) if good]
+    assert len(shown) == 8
+    plain = read_frame(source / "000306.png")
+    changed = np.abs(shown[3].astype(int) - plain).max(axis=2) > 60
+    x, y = round(rows["x_px"][3]), round(rows["y_px"][3])
+    assert changed[y : y + 20, x - 1 : x + 2].mean() > 0.5  # the left edge of the box
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        (["--out", "boxes.csv", "--init", "1,2,3,4"], "boxes.csv"),
+        (["--out", "boxes.txt"], "--init"),
+        (["--out", "boxes.txt", "--truth", "nowhere.txt"], "nowhere.txt"),
+    ],
+)
+def test_what_track_cannot_do_is_one_line(options, named, data, capsys):
+    assert command("track", data / "Bench" / "one", *options) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert named in err
+
+
+class Trail:
+    """Says in which process it was warmed up and run."""
+
+    def __init__(self, trail) -> None:
+        self.trail = trail
+
+    def init(self, image, box):
+        with open(self.trail, "a") as file:
+            file.write(f"{os.getpid()}\n")
+
+    def update(self, image):
+        return None
+
+
+def test_kernels_are_compiled_here_before_other_processes_load_them(data, tmp_path):
+    trail = tmp_path / "trail"
+    evaluate(data, trackers=f"{__name__}:Trail,trail={trail}", jobs=2, progress=False)
+    pids = trail.read_text().split()
+    assert pids[0] == str(os.getpid())
+    assert len(set(pids)) > 1
