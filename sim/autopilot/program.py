@@ -25,7 +25,7 @@ from sim.autopilot.system import AutopilotSystem
 from sim.dynamics import Vehicle, VehicleTruth, Wind
 
 LAST_PORT = 65535
-STEP_S = 0.005  # twice as often as the fastest telemetry that is asked for in practice
+STEP_S = 0.005  # twice as often as the fastest telemetry in practice
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +34,10 @@ class Options:
 
     autopilot: Autopilot = Autopilot.PX4
     """The autopilot whose rules the vehicle obeys."""
+    firmware: str = ""
+    """Firmware whose parameters it has: PX4 1.14, 1.16 or 1.18; ArduCopter 4.5 or 4.7. Empty: 1.16 or 4.7."""
+    remote: bool = True
+    """A remote control is on, with its sticks at rest."""
     link: str = "udpout:127.0.0.1:14540"
     """Address of the application: udpout:HOST:PORT sends to it first, udpin:HOST:PORT waits for its first packet."""
     gcs: str = ""
@@ -159,7 +163,11 @@ def build(options: Options) -> AutopilotSystem:
     key = read_key(options.signing_key) if options.signing_key else None
     links = 2 if options.gcs else 1
     signing_time = round((time.time() - EPOCH_S) * UNITS_PER_S)
-    system = AutopilotSystem(options.autopilot, vehicle, links, key=key, signing_time=signing_time)
+    system = AutopilotSystem(
+        options.autopilot, vehicle, links, key=key, signing_time=signing_time, firmware=options.firmware
+    )
+    if options.remote:
+        system.flight.resting_sticks = system.flight.sticks = (0.0, 0.0, 0.0, 0.0)
     for setting in options.set:
         set_parameter(system.flight.parameters, setting)
     return system
@@ -172,7 +180,7 @@ def run(
     speedup: float = 1.0,
     report: Notify = lambda _line: None,
 ) -> None:
-    """Serve the ports until `is_over` says so; `report` hears of each change of mode and each text of the autopilot."""
+    """Serve the ports until `is_over` says so; `report` hears of mode changes, commands and texts."""
     began = time.monotonic()
     mode = system.flight.mode
     while not is_over():
@@ -216,5 +224,9 @@ def main() -> None:
             report(str(error))
             sys.exit(2)
         with contextlib.suppress(KeyboardInterrupt):
-            report(f"{options.autopilot.value} in {system.flight.mode} at {options.height_m:g} m, {options.link}")
+            remote = "on" if options.remote else "off"
+            report(
+                f"{options.autopilot.value} {system.firmware} in {system.flight.mode} at {options.height_m:g} m, "
+                f"remote control {remote}; {', '.join(f'{name} {uri}' for name, uri in addresses.items())}"
+            )
             run(system, ports, lambda: 0.0 < options.seconds <= system.t_s, options.speedup, report)

@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 from pymavlink.dialects.v20 import common as dialect
 
 from follow.link.signing import UNITS_PER_S
-from follow.messages import Autopilot
+from follow.messages import NEVER, Autopilot
 from sim.autopilot.core import NO_PWM, AutopilotCore, Result
 from sim.autopilot.parameters import DEFAULT_FIRMWARE
 from sim.autopilot.rules import RULES
@@ -27,6 +27,15 @@ PARAMETER_TYPES = {
 }
 NO_AXIS = 0x7FFF  # MANUAL_CONTROL: this axis does not exist
 KEEP, RELEASE = 0xFFFF, 0  # RC_CHANNELS_OVERRIDE: leave the channel as it is; release it
+SILENCE_S = 1.0  # setpoints after a longer pause are a new stream
+NOTED = {
+    dialect.MAV_CMD_COMPONENT_ARM_DISARM: "arming or disarming",
+    dialect.MAV_CMD_DO_SET_MODE: "a mode",
+    dialect.MAV_CMD_NAV_TAKEOFF: "take-off",
+    dialect.MAV_CMD_NAV_LAND: "landing",
+    dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH: "return",
+}
+"""Commands worth a line for a person."""
 # The messages of the old REQUEST_DATA_STREAM, all groups together
 STREAMED = (
     dialect.MAVLINK_MSG_ID_SYS_STATUS,
@@ -37,6 +46,11 @@ STREAMED = (
     dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
     dialect.MAVLINK_MSG_ID_VFR_HUD,
 )
+
+
+def sender(source: tuple[int, int]) -> str:
+    """A sender for a person to read."""
+    return f"system {source[0]} component {source[1]}"
 
 
 @dataclass(slots=True)
@@ -69,12 +83,13 @@ class AutopilotSystem:
     ):
         self.flight: AutopilotCore = RULES[autopilot](vehicle, firmware)
         self.firmware = firmware or DEFAULT_FIRMWARE[autopilot]
-        self.modes_asked: list[tuple[float, str, tuple[int, int]]] = []  # requests for a mode: time, mode then, sender
         self.t_s = self.flight.t_s
         self._boot_s = boot_s
         self._signing_time = signing_time
         self._told_mode = self.flight.mode
-        self.told: list[str] = []  # the texts sent by the last step
+        self.told: list[str] = []  # of the last step: who commanded what, and the texts sent
+        self._commanded: list[str] = []
+        self._steered: dict[tuple[int, int], float] = {}  # sender of setpoints -> its last
         self._links = [_Link(self._codec(n, key), self._unasked()) for n in range(links)]
 
     def receive(self, data: bytes, link: int = 0) -> None:
@@ -107,7 +122,8 @@ class AutopilotSystem:
                 severity = dialect.MAV_SEVERITY_CRITICAL
                 self._send(way, dialect.MAVLink_statustext_message(severity, text.encode()[:50]))
         self._told_mode = self.flight.mode
-        self.told = list(self.flight.texts)
+        self.told = [*self._commanded, *self.flight.texts]
+        self._commanded.clear()
         self.flight.texts.clear()
 
     def take(self, link: int = 0) -> list[bytes]:
@@ -169,6 +185,10 @@ class AutopilotSystem:
     def _on_set_position_target_local_ned(
         self, message: dialect.MAVLink_set_position_target_local_ned_message, _way: _Link
     ) -> None:
+        source = message.get_srcSystem(), message.get_srcComponent()
+        if self.t_s - self._steered.get(source, NEVER) > SILENCE_S:
+            self._commanded.append(f"{sender(source)} starts sending setpoints")
+        self._steered[source] = self.t_s
         velocity = message.vx, message.vy, message.vz
         self.flight.take_setpoint(message.coordinate_frame, message.type_mask, velocity, message.yaw_rate)
 
@@ -189,7 +209,6 @@ class AutopilotSystem:
         self.flight.take_sticks(axes, switches)
 
     def _on_set_mode(self, message: dialect.MAVLink_set_mode_message, _way: _Link) -> None:
-        self.modes_asked.append((self.t_s, self.flight.mode, (message.get_srcSystem(), message.get_srcComponent())))
         custom = message.custom_mode
         px4 = self.flight.autopilot is Autopilot.PX4
         self.flight.ask_mode(*((custom >> 16 & 0xFF, custom >> 24 & 0xFF) if px4 else (custom, 0)))
@@ -255,11 +274,21 @@ class AutopilotSystem:
         if command in WHOLE and not math.isfinite(p[WHOLE[command]]):
             results = [Result.DENIED]
         else:
-            if command == dialect.MAV_CMD_DO_SET_MODE:
-                self.modes_asked.append((self.t_s, self.flight.mode, source))
             results = self.COMMANDS.get(command, AutopilotSystem._unsupported)(self, p, way)
+        if command in NOTED:
+            outcome = ", ".join(result.name for result in results)
+            self._commanded.append(f"{sender(source)} commands {self._described(command, p)}: {outcome}")
         for result in results:
             self._send(way, dialect.MAVLink_command_ack_message(command, int(result), 0, 0, *source))
+
+    def _described(self, command: int, p: tuple[float, ...]) -> str:
+        """A command for a person to read, with the mode that it requests."""
+        if command != dialect.MAV_CMD_DO_SET_MODE or not math.isfinite(p[1]):
+            return NOTED[command]
+        px4 = self.flight.autopilot is Autopilot.PX4
+        numbers = int(p[1]), int(p[2]) if px4 and math.isfinite(p[2]) else 0
+        modes = self.flight.modes.items()
+        return next((f"mode {name}" for name, mode in modes if (mode.number, mode.sub) == numbers), f"mode {numbers}")
 
     def _unsupported(self, _p: tuple[float, ...], _way: _Link) -> list[Result]:
         return [Result.UNSUPPORTED]

@@ -211,6 +211,6 @@ def test_it_says_what_it_simulates_and_each_change_of_mode():
     call = [sys.executable, "-m", "sim.autopilot", *words]
     done = subprocess.run(call, capture_output=True, text=True, timeout=30, check=False)
     first, *later = done.stderr.splitlines()
-    assert first == f"sim.autopilot: ardupilot in LOITER at 6 m, udpout:127.0.0.1:{port}"
+    assert first == f"sim.autopilot: ardupilot 4.7 in LOITER at 6 m, remote control on; --link udpout:127.0.0.1:{port}"
     assert any(re.fullmatch(r"sim\.autopilot: \d\.\d s: Fence Breached", line) for line in later)
     assert any(re.fullmatch(r"sim\.autopilot: \d\.\d s: mode LOITER -> RTL", line) for line in later)
