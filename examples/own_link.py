@@ -1,0 +1,91 @@
+"""Your own vehicle behind the loop: a class that tells its state and takes setpoints, here a point that obeys at once.
+
+    python examples/own_link.py
+
+`state` and `send` are the whole Link.  `advance` is only needed because the drawn scene drives this vehicle's time.
+"""
+
+from dataclasses import replace
+
+from typing_extensions import Self
+
+from follow.control.acquire import Acquire
+from follow.control.servo import Servo, ServoConfig
+from follow.control.target import Target
+from follow.flight.session import once
+from follow.geometry import heading_to_ned
+from follow.loop import follow
+from follow.messages import HOVER, Autopilot, Order, Setpoint, VehicleState
+from follow.safety.gate import Safety
+from racf import Racf
+from sim.camera import SceneCamera
+from sim.dynamics import VehicleTruth
+from sim.scenarios import SCENARIOS
+
+
+class PointMass:
+    """A Link to a vehicle without inertia: it has the velocity and yaw rate of the last setpoint."""
+
+    def __init__(self, start: VehicleTruth) -> None:
+        self.motion = start
+        self.setpoint = HOVER
+
+    def state(self) -> VehicleState:
+        """What telemetry would tell now; each group carries the time at which it was measured."""
+        m = self.motion
+        fresh = {"t_s": m.t_s, "attitude_t_s": m.t_s, "position_t_s": m.t_s, "heartbeat_t_s": m.t_s}
+        position = {"north_m": m.north_m, "east_m": m.east_m, "down_m": m.down_m}
+        velocity = {"north_m_s": m.north_m_s, "east_m_s": m.east_m_s, "down_m_s": m.down_m_s}
+        attitude = {"yaw_rad": m.yaw_rad, "yaw_rate_rad_s": m.yaw_rate_rad_s}
+        return VehicleState(**fresh, **position, **velocity, **attitude, in_control=True, armed=True)
+
+    def send(self, setpoint: Setpoint | None) -> None:
+        """Take the gate's setpoint; None means that nothing is sent, and a real autopilot's failsafe acts."""
+        self.setpoint = setpoint or HOVER
+
+    def advance(self, dt_s: float) -> VehicleTruth:
+        """Fly for a while."""
+        m, s = self.motion, self.setpoint
+        north, east = heading_to_ned(s.forward_m_s, s.right_m_s, m.yaw_rad)
+        self.motion = replace(
+            m,
+            t_s=m.t_s + dt_s,
+            north_m=m.north_m + north * dt_s,
+            east_m=m.east_m + east * dt_s,
+            down_m=m.down_m + s.down_m_s * dt_s,
+            yaw_rad=m.yaw_rad + s.yaw_rate_rad_s * dt_s,
+            **{"north_m_s": north, "east_m_s": east, "down_m_s": s.down_m_s, "yaw_rate_rad_s": s.yaw_rate_rad_s},
+        )
+        return self.motion
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        """Leaving always ends in a hover."""
+        self.send(HOVER)
+
+
+def main(seconds: float = 4.0) -> float:
+    """Follow the drawn walker; returns the last estimated range, metres."""
+    scenario = replace(SCENARIOS["walker"], duration_s=seconds)
+    world = scenario.world(0)
+    link = PointMass(scenario.start(world, 0))
+    mount = scenario.camera_settings(Autopilot.PX4)
+    camera = SceneCamera(world, link, mount, seconds, 0)
+    tracker = Racf()
+    parts = (
+        Acquire(tracker.init, tracker.update, camera.first()[1]),
+        Target(mount.intrinsics, mount.down_rad),
+        Servo(mount.down_rad, ServoConfig(standoff_m=scenario.standoff_m)),
+        Safety(),
+    )
+    ticks = []
+    with camera, link:
+        ticks.extend(follow(camera, link, *parts, once(Order.FOLLOW)))
+    print(f"{len(ticks)} rounds, {ticks[-1].estimate.range_m:.1f} m away, mode {ticks[-1].decision.mode.value}")
+    return ticks[-1].estimate.range_m
+
+
+if __name__ == "__main__":
+    main()

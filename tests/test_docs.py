@@ -1,0 +1,88 @@
+"""The pages say what the program does: every column, figure and message, every link, every option."""
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+from follow.config import PRESETS, TargetKind
+from follow.flight.parameters import PARAMETERS
+from follow.recording.rows import COLUMNS
+from follow.recording.summary import Figures
+from tools.docs.geometry import height_m
+
+ROOT = Path(__file__).parents[1]
+AFTER = (ROOT / "docs/after_a_flight.md").read_text()
+FIRST = (ROOT / "docs/first_flight.md").read_text()
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
+
+
+def table(page: str, heading: str) -> list[list[str]]:
+    """The cells of the rows of every table below a heading."""
+    section = page.split(f"\n## {heading}\n")[1].split("\n## ", maxsplit=1)[0]
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in section.splitlines() if line[:2] == "| "]
+    return [row for row in rows if row[0] not in ("column", "field", "message", "note", "file")]
+
+
+def names(cells: list[str]) -> list[str]:
+    return [name for cell in cells for name in re.findall(r"`([^`]+)`", cell)]
+
+
+def test_every_column_is_described_once_and_in_order():
+    assert names([row[0] for row in table(AFTER, "Columns of ticks.csv")]) == list(COLUMNS)
+
+
+def test_every_figure_is_described_once():
+    described = names([row[0] for row in table(AFTER, "Fields of summary.json")])
+    assert sorted(described) == sorted(Figures.__annotations__)
+
+
+def spoken() -> str:
+    """Every string of the program, each message as its constant parts with … for a value."""
+    strings: list[str] = []
+    for source in [*(ROOT / "follow").rglob("*.py"), *(ROOT / "racf").glob("*.py")]:
+        for node in ast.walk(ast.parse(source.read_text())):
+            if isinstance(node, ast.JoinedStr):
+                strings.append("".join(str(p.value) if isinstance(p, ast.Constant) else "…" for p in node.values))
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+                strings.append(re.sub(r"%\w", "…", node.value))
+    return "\n".join(" ".join(string.split()) for string in strings)
+
+
+def test_every_message_of_the_page_is_one_that_the_program_gives():
+    said = spoken()
+    for row in table(AFTER, "Messages"):
+        for message in names(row[:1]):
+            for part in message.split("…"):
+                assert part.strip(" ,;:()") in said, message
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_link_of_a_page_leads_somewhere(page):
+    for path in re.findall(r"\]\(((?!https?:)[^)#]+)", page.read_text()):
+        assert (page.parent / path).exists(), path
+
+
+def test_the_parameters_of_the_first_flight_are_those_that_doctor_checks():
+    lines = "\n".join(line for line in FIRST.splitlines() if line.startswith("| `"))
+    for wanted in PARAMETERS.values():
+        for parameter in wanted:
+            if parameter.is_right is None:
+                continue
+            value = re.search(rf"`{parameter.name}` (\S+)", lines)
+            assert value, parameter.name
+            assert value[1] == "without" or parameter.is_right(float(value[1])), parameter.name
+
+
+def test_heights_and_kinds_of_target_are_those_of_the_program():
+    assert f"12 m at 30 degrees is {height_m(12, 30):.1f} m" in FIRST
+    assert f"20 m at 30 degrees is {height_m(20, 30):.1f} m" in FIRST
+    assert height_m(20, 24) + 0.9 == pytest.approx(10, abs=0.3)  # above the ground: plus half a person
+    rows = {row[0].split("`")[1]: row[1:] for row in table(FIRST, "Person, cyclist or car") if "`" in row[0]}
+    for option, (branch, name) in {
+        "--target.size-m": ("target", "size_m"),
+        "--servo.standoff-m": ("servo", "standoff_m"),
+        "--limits.speed-m-s": ("limits", "speed_m_s"),
+    }.items():
+        assert [float(v) for v in rows[option]] == [PRESETS[kind][branch][name] for kind in TargetKind]
