@@ -27,11 +27,11 @@ class CameraConfig:
     """The camera's lens, mount and delay.  Raises ValueError for what no camera has."""
 
     fov_deg: float = 70.0
-    """Horizontal field of view of the undistorted image, degrees; most action and FPV cameras have 60 to 90."""
+    """Horizontal field of view of the undistorted image; most action and FPV cameras have 60 to 90."""
     down_deg: float | None = None
-    """Angle of the optical axis below the nose, degrees. Derived: that of the drawn scene, else 30."""
+    """Angle of the optical axis below the nose. Derived: that of the drawn scene, else 30 degrees."""
     delay_s: float = 0.0
-    """Delay from exposure to arrival, s, of a device, stream or drawn scene; docs/service says how to measure it."""
+    """Delay from exposure to arrival of a device, stream or drawn scene; docs/service says how to measure it."""
 
     def __post_init__(self) -> None:
         if not 1 <= self.fov_deg <= 170:

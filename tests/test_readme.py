@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from follow.cli.commands import MARKERS, Command
+from follow.cli.layers import read
 from follow.cli.program import main
 from follow.control.acquire import Acquire
 from follow.control.servo import Servo
@@ -16,7 +16,6 @@ from follow.control.target import Target
 from follow.messages import Autopilot, Order, Tick
 from follow.safety.gate import Safety
 from racf import Racf
-from racf.commandline import parse
 from sim.autopilot.program import build as build_autopilot
 from sim.autopilot.program import read as read_autopilot
 from sim.clip import write
@@ -39,7 +38,7 @@ def commands(program: str) -> list[list[str]]:
 
 @pytest.mark.parametrize("words", commands("follow"), ids=" ".join)
 def test_every_follow_command_of_the_readme_is_understood(words):
-    assert parse(Command, words, prog="follow", description="", config=MARKERS) is not None
+    assert read(words) is not None
 
 
 def test_the_simulated_autopilot_of_the_readme_flies_and_is_set_as_doctor_asks():

@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Union
+from typing import Annotated
 
 import tyro
 
@@ -17,71 +17,70 @@ Settings = Annotated[Config, tyro.conf.arg(name="")]
 ForWhom = Annotated[TargetKind | None, tyro.conf.arg(name="for")]
 
 TRACKER = "racf,robust"
-MARKERS = (tyro.conf.EnumChoicesFromValues,)  # px4, not PX4, is what is typed
 
 
 def require_system_id(system_id: int | None) -> None:
-    """Raise ValueError for what is no MAVLink system id."""
+    """Raise ValueError for an invalid MAVLink system id."""
     if system_id is not None and not 1 <= system_id <= 255:
         raise ValueError(f"--system-id lies in 1..255, not {system_id}")
 
 
 @dataclass(frozen=True, slots=True)
 class ReplayCommand:
-    """A video file or a folder of images through tracker, servo, gate and a link that only pretends to fly."""
+    """Play footage through tracker, servo and gate, to a link that pretends to fly."""
 
     source: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")]
-    """Video file or folder of images."""
+    """Video file, or folder of images."""
     target: str | None = None
-    """What to follow: x,y,w,h in 0-based pixels of the first picture."""
+    """Box of the target, x,y,w,h in 0-based pixels of the first frame."""
     truth: Path | None = None
-    """A benchmark's boxes, x,y,w,h in 1-based pixels: the first row starts the tracker, which is then scored."""
+    """File of annotated boxes, x,y,w,h in 1-based pixels. The first starts the tracker; all score it."""
     ptz: bool = False
-    """Let yaw rate and climb move a window over the footage, so that bad control loses the target."""
+    """Let yaw rate and climb move a window over the footage: bad control loses the target."""
     fps: float | None = None
-    """Pictures per second; a video says it itself, a folder is taken to have 30."""
+    """Frame rate, 1/s. Default: what the video says; for a folder what its name says, else 30."""
     tracker: str = TRACKER
-    """Tracker by name, with settings: racf, racf-, racf--, bacf, arcf-hc; e.g. racf-,robust."""
+    """Tracker: racf, racf-, racf-- (the fastest), bacf, arcf-hc or OpenCV's mil; settings follow after commas."""
     autopilot: Autopilot = Autopilot.PX4
-    """Whose rules the pretended vehicle obeys."""
+    """Autopilot whose rules the pretended vehicle obeys."""
     out: Path = Path("out/replay")
-    """Folder of flight.rrd, ticks.csv, settings.toml and summary.json."""
+    """Output folder: flight.rrd, ticks.csv, settings.toml and summary.json."""
     json: bool = False
     """Print the summary as JSON on standard output."""
     for_: ForWhom = None
-    """Size, stand-off and speed limit of this kind of target together. A settings file or an option overrides each."""
+    """Kind of target: sets its size, the stand-off and the speed limit. The settings file and options override each."""
     settings: Path | None = None
-    """TOML file of the settings below; what is given here stands above it (docs/service/settings.toml has them all)."""
+    """TOML file of the settings listed below, as docs/service/settings.toml. Options override it."""
     config: Settings = field(default_factory=Config)
 
 
 @dataclass(frozen=True, slots=True)
 class SimCommand:
-    """A closed loop without a drone: a drawn world, a vehicle that answers as PX4's or ArduPilot's did."""
+    """Fly a closed loop without a drone: a drawn world and a simulated vehicle."""
 
     scenario: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SCENARIO")] = "walker"
-    """Name of the flight."""
+    """Name of the scenario; --list prints them all."""
     seed: int = 0
-    """Of the world, the wind and the camera's noise; 0 or more."""
+    """Seed of the world, the wind and the camera's noise, 0 or more."""
     autopilot: Autopilot | None = None
-    """Whose vehicle flies: px4 where not given, both with --all."""
+    """Autopilot whose vehicle flies. Default: px4; with --all both."""
     all: bool = False
     """Fly every scenario, in parallel, and print a table."""
     seeds: int = 5
-    """With --all: fly each scenario with so many seeds, counting from --seed."""
+    """Number of seeds for each scenario with --all, counting from --seed."""
     list: bool = False
-    """Print the names of the scenarios."""
+    """Print the names of the scenarios and end."""
     tracker: str = TRACKER
-    """Tracker by name, with settings: racf, racf-, racf--, bacf, arcf-hc; e.g. racf-,robust."""
+    """Tracker: racf, racf-, racf-- (the fastest), bacf, arcf-hc or OpenCV's mil; settings follow after commas."""
     out: Path | None = None
-    """Folder of flight.rrd, ticks.csv, settings.toml, summary.json and flight.png: out/sim/SCENARIO where not given.
-    With --all: of a folder for each flight, and of all.txt (out/sim)."""
+    """Output folder: flight.rrd, ticks.csv, settings.toml, summary.json and flight.png; with --all one folder for each
+    flight, and all.txt. Default: out/sim/SCENARIO, with --all out/sim."""
     json: bool = False
-    """Print the summary (with --all: of each flight) as JSON on standard output."""
+    """Print the summary, with --all a list of them, as JSON on standard output."""
     for_: ForWhom = None
-    """Size, stand-off and speed limit of this kind of target together. A settings file or an option overrides each."""
+    """Kind of target: sets its size, the stand-off and the speed limit. The settings file and options override each."""
     settings: Path | None = None
-    """TOML file of the settings below; what is given here stands above it (docs/service/settings.toml has them all)."""
+    """TOML file of the settings listed below, as docs/service/settings.toml. Options override it."""
     config: Settings = field(default_factory=Config)
 
     def __post_init__(self) -> None:
@@ -95,42 +94,44 @@ class SimCommand:
 class RunCommand:
     """Fly: follow a target with a vehicle that is already in the air.
 
-    No setpoint is sent until FOLLOW is ordered: by --follow, by the key f, by SIGUSR1 or by a switch.  The key o, the
-    switch, a moved stick or any change of mode ends it; q, Ctrl-C and SIGTERM leave the vehicle in Hold or BRAKE.
+    - No setpoint is sent until you order FOLLOW: --follow, key f, SIGUSR1, switch.
+    - The key o, the switch, a moved stick or any change of mode ends following.
+    - The key q, Ctrl-C and SIGTERM end the flight and leave it in Hold or BRAKE.
     """
 
     link: str
-    """udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, serial:DEVICE:BAUD; mavsdk+udpin://HOST:PORT for MAVSDK."""
+    """Address of the autopilot: udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, serial:DEVICE:BAUD, or
+    mavsdk+udpin://HOST:PORT for MAVSDK's connection."""
     camera: str = "0"
-    """A device (0, /dev/video0), a stream (rtsp://...), a file, or scene:NAME: a drawn scene seen from the vehicle."""
+    """Camera: a device (0, /dev/video0), a stream (rtsp://HOST/PATH), a file, or a drawn scene (scene:NAME)."""
     target: str | None = None
-    """What to follow: x,y,w,h in 0-based pixels of the first picture; a scene knows its own."""
+    """Box of the target, x,y,w,h in 0-based pixels of the first frame. Default: a drawn scene's own target."""
     aim: bool = False
-    """The box is a sight: start on what is in it, anew, when FOLLOW is ordered."""
+    """Use the box as a sight: the tracker starts again on what is in it when FOLLOW is ordered."""
     follow: bool = False
-    """Order FOLLOW as soon as every check is green, once."""
+    """Order FOLLOW once, as soon as every check is green."""
     rc_channel: Annotated[int | None, tyro.conf.arg(metavar="1-18")] = None
-    """Channel of the remote control whose switch orders FOLLOW (up) and OBSERVE (down)."""
+    """Channel of the remote control whose switch orders FOLLOW (up) and OBSERVE (down). Default: no switch."""
     waive: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
-    """Follow although this check of `follow doctor` is red, repeatable."""
+    """Name of a check of `follow doctor` that may be red. Repeat it for several."""
     system_id: int | None = None
-    """The vehicle's MAVLink system id; the first vehicle heard when not given."""
+    """MAVLink system id of the vehicle, 1 to 255. Default: the first vehicle heard."""
     signing_key: Path | None = None
-    """File of the MAVLink 2 signing key: 32 bytes, readable by its owner only."""
+    """File of the MAVLink 2 signing key, 32 bytes, readable by its owner only. Default: packets are not signed."""
     seconds: float = 0.0
-    """End after this time; 0 flies until stopped."""
+    """End after this time, s. 0: fly until stopped."""
     seed: int = 0
-    """Of a drawn scene."""
+    """Seed of a drawn scene, 0 or more."""
     tracker: str = TRACKER
-    """Tracker by name, with settings: racf, racf-, racf--, bacf, arcf-hc; e.g. racf,robust,cell_px=4."""
+    """Tracker: racf, racf-, racf-- (the fastest), bacf, arcf-hc or OpenCV's mil; settings follow after commas."""
     out: Path = Path("out/run")
-    """Folder of flight.rrd, flight.tlog, ticks.csv, settings.toml and summary.json."""
+    """Output folder: flight.rrd, flight.tlog, ticks.csv, settings.toml and summary.json."""
     json: bool = False
     """Print the summary as JSON on standard output."""
     for_: ForWhom = None
-    """Size, stand-off and speed limit of this kind of target together. A settings file or an option overrides each."""
+    """Kind of target: sets its size, the stand-off and the speed limit. The settings file and options override each."""
     settings: Path | None = None
-    """TOML file of the settings below; what is given here stands above it (docs/service/settings.toml has them all)."""
+    """TOML file of the settings listed below, as docs/service/settings.toml. Options override it."""
     config: Settings = field(default_factory=Config)
 
     def __post_init__(self) -> None:
@@ -145,23 +146,24 @@ class RunCommand:
 
 @dataclass(frozen=True, slots=True)
 class DoctorCommand:
-    """Look at camera, tracker, link, autopilot, disk, clock and signing, and say what mends them.
+    """Check camera, tracker, link, autopilot and machine, and say how to fix them.
 
-    Exit status 0: fit to fly.  1: something is red.  Nothing on the vehicle is changed.
+    - Exit status 0: fit to fly; 1: a check is red.
+    - Nothing on the vehicle is changed.
     """
 
     camera: str | None = None
-    """A device (0, /dev/video0), a stream (rtsp://...) or a file; not looked at when not given."""
+    """Camera: a device (0, /dev/video0), a stream (rtsp://HOST/PATH) or a file. Default: not checked."""
     link: str | None = None
-    """As for `follow run`; not looked at when not given."""
+    """Address of the autopilot, as for `follow run`. Default: not checked."""
     system_id: int | None = None
-    """The vehicle's MAVLink system id; the first vehicle heard when not given."""
+    """MAVLink system id of the vehicle, 1 to 255. Default: the first vehicle heard."""
     signing_key: Path | None = None
-    """File of the MAVLink 2 signing key: 32 bytes, readable by its owner only."""
+    """File of the MAVLink 2 signing key, 32 bytes, readable by its owner only. Default: packets are not signed."""
     tracker: str = TRACKER
-    """The tracker that is timed on the camera's pictures."""
+    """Tracker that is timed on the camera's frames."""
     out: Path = Path("out/run")
-    """Where recordings would go; the camera's first picture is left there."""
+    """Folder where recordings would go; the camera's first image is written there."""
     json: bool = False
     """Print the findings as JSON on standard output."""
 
@@ -174,25 +176,10 @@ class InspectCommand:
     """Open a recording in Rerun's viewer."""
 
     recording: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR_OR_RRD")]
-    """The folder of a flight, or its flight.rrd."""
+    """Folder of a flight, or its flight.rrd."""
 
 
-def commands(config: Config) -> Any:
-    """The commands as the parser takes them; a setting that the command line does not give is that of `config`."""
-    return union(ReplayCommand, SimCommand, RunCommand, config)
-
-
-def union(replay: Any, sim: Any, run: Any, config: Any) -> Any:
-    """The commands by name, with these classes for the three that fly."""
-    replay = Annotated[replay, tyro.conf.subcommand("replay", default=replay(tyro.MISSING, config=config))]
-    sim = Annotated[sim, tyro.conf.subcommand("sim", default=sim(config=config))]
-    run = Annotated[run, tyro.conf.subcommand("run", default=run(tyro.MISSING, config=config))]
-    doctor = Annotated[DoctorCommand, tyro.conf.subcommand("doctor")]
-    inspect = Annotated[InspectCommand, tyro.conf.subcommand("inspect")]
-    return Union[replay, sim, run, doctor, inspect]  # noqa: UP007 - made of values, not of types that `|` knows
-
-
-Command = commands(Config())
+Command = ReplayCommand | SimCommand | RunCommand | DoctorCommand | InspectCommand
 
 
 def box_of(text: str) -> Box:

@@ -1,37 +1,64 @@
 """The command line with its settings: defaults < scenario < kind of target < file < command line.
 
 The words are read twice.  The first reading only finds out what names a layer: a scenario, a kind of target, a file.
-These are combined, and the second reading takes what they hold as its defaults.
+These are combined, and the second reading takes what they hold as its defaults.  Both read classes that are like the
+commands and settings but accept every value: what is invalid beside the defaults may be valid beside a file, so a value
+is judged only when the real command is made.
 """
 
 import contextlib
 import functools
 import io
 from collections.abc import Sequence
-from dataclasses import MISSING, field, fields, is_dataclass, make_dataclass
-from typing import Annotated, Any, cast, get_type_hints
+from dataclasses import MISSING, field, fields, is_dataclass, make_dataclass, replace
+from enum import Enum
+from typing import Annotated, Any, Union, cast, get_args, get_type_hints
 
 import tyro
 
-from follow.cli.commands import MARKERS, ReplayCommand, RunCommand, SimCommand, commands, union
+from follow.cli import described
+from follow.cli.commands import Command, DoctorCommand, InspectCommand, ReplayCommand, RunCommand, SimCommand
 from follow.cli.settings import Table, file_layer, layered
 from follow.config import PRESETS, Config, TargetKind
-from racf.commandline import parse
+from racf.commandline import UsageError, parse
 
 PROG = "follow"
-ABOUT = "Keep a target in view: PX4 and ArduPilot, replayed footage, or a simulated flight."
+ABOUT = "Keep a target in view: with PX4, ArduPilot, footage or a simulated flight."
 SCENE = "scene:"
+ARG: Any = type(tyro.conf.arg())
+MARKERS = (tyro.conf.EnumChoicesFromValues,)  # px4, not PX4, is what is typed
+NAMES: dict[str, type[Any]] = {
+    "replay": ReplayCommand,
+    "sim": SimCommand,
+    "run": RunCommand,
+    "doctor": DoctorCommand,
+    "inspect": InspectCommand,
+}
+METAVARS: dict[Any, str] = {bool: "", int: "INT", float: "FLOAT"}
 
 
-def read(words: Sequence[str], scenario: str | None = None) -> Any:
+def read(words: Sequence[str], scenario: str | None = None) -> Command:
     """The command that the words spell, with its settings; `scenario` flies another than they name.
 
     Raises UsageError, SystemExit(0) after `--help`.
     """
-    return parse(commands(settings(words, scenario)), words, prog=PROG, description=ABOUT, config=MARKERS)
+    known = _commands(below(words, scenario))
+    parsed = parse(known, words, prog=PROG, description=ABOUT, config=MARKERS)
+    kind = next(kind for kind in NAMES.values() if isinstance(parsed, _open(kind)))
+    try:
+        return _judged(kind, parsed)
+    except ValueError as error:
+        raise UsageError(str(error)) from None
 
 
-def settings(words: Sequence[str], scenario: str | None = None) -> Config:
+def settings_of(words: Sequence[str], scenario: str) -> Config:
+    """The settings with which the words fly a scenario.  Raises UsageError."""
+    command = read(words, scenario)
+    assert isinstance(command, ReplayCommand | SimCommand | RunCommand)
+    return command.config
+
+
+def below(words: Sequence[str], scenario: str | None = None) -> Config:
     """The settings of all layers below the command line.  Raises UsageError."""
     first = _glance(words)
     layers: list[tuple[str, Table]] = []
@@ -58,31 +85,73 @@ def _suggested(name: str) -> Table:
 
 
 def _glance(words: Sequence[str]) -> Any:
-    """The command as far as it is clear without judging any setting; None for what cannot be read, or for help."""
-    replay, sim, run = (_unjudged(kind) for kind in (ReplayCommand, SimCommand, RunCommand))
-    known = union(replay, sim, run, _unjudged(Config)())
+    """The command as far as it is clear without its settings; None for what cannot be read, or for help."""
     with contextlib.suppress(SystemExit), contextlib.redirect_stderr(io.StringIO()):
         # Help and whatever is wrong with the words is the second reading's business.
-        return cast(Any, tyro.cli)(known, args=words, prog=PROG, config=MARKERS, add_help=False, console_outputs=False)
+        cli = cast(Any, tyro.cli)
+        return cli(_commands(Config()), args=words, prog=PROG, config=MARKERS, add_help=False, console_outputs=False)
     return None
 
 
-@functools.cache
-def _unjudged(kind: type[Any]) -> Any:
-    """A dataclass like `kind`, and like those in it, whose fields may have any value of their type.
+def _commands(config: Config) -> Any:
+    """The commands by name; a setting that the command line does not give is that of `config`."""
+    named: list[Any] = []
+    for name, kind in NAMES.items():
+        known = {f.name for f in fields(kind)}
+        given = {"config": _opened(config)} if "config" in known else {}
+        required = {f.name: tyro.MISSING for f in fields(kind) if f.default is f.default_factory is MISSING}
+        default = _open(kind)(**required, **given)
+        named.append(Annotated[_open(kind), tyro.conf.subcommand(name, default=default)])
+    return Union[tuple(named)]  # noqa: UP007 - as many as there are names
 
-    What is wrong beside the defaults may be right beside a file: a floor above the default ceiling.
-    """
-    hints, plain = get_type_hints(kind, include_extras=True), get_type_hints(kind)
+
+@functools.cache
+def _open(kind: type[Any]) -> Any:
+    """A dataclass like `kind`, and like those in it, whose fields may have any value of their type, with their help."""
+    said, hints, plain = described.sentences(kind), get_type_hints(kind, include_extras=True), get_type_hints(kind)
     parts: list[tuple[str, Any, Any]] = []
     for f in fields(kind):
-        hint: Any = hints[f.name]
-        default: Any = field() if f.default is MISSING else field(default=f.default)
+        hint, default = hints[f.name], field() if f.default is MISSING else field(default=f.default)
         if is_dataclass(plain[f.name]):
-            inner = _unjudged(plain[f.name])
+            inner = _open(plain[f.name])
             hint = Annotated[inner, tyro.conf.arg(name="")] if hint != plain[f.name] else inner
-            default = field(default_factory=inner)
-        elif f.default is MISSING and f.name == "kp":  # of the gains, the only setting without a default of its own
-            default = field(default=0.0)
+            default = field()
+        else:
+            hint = _with_help(hint, plain[f.name], f.name, said[f.name], is_required=f.default is MISSING)
         parts.append((f.name, hint, default))
-    return make_dataclass(kind.__name__, parts)
+    doc = described.summary(kind, whole=kind in NAMES.values())
+    return make_dataclass(kind.__name__, parts, namespace={"__doc__": doc}, kw_only=True)
+
+
+def _with_help(hint: Any, plain: Any, name: str, said: str, *, is_required: bool) -> Any:
+    """The field's type with what the help shows: the sentence, the default with its unit, a metavar without None."""
+    metadata = list(getattr(hint, "__metadata__", ()))
+    known = [m for m in metadata if isinstance(m, ARG)]
+    arg: Any = replace(known[0] if known else cast(Any, tyro.conf.arg()), help=said)
+    if not is_required:
+        arg = replace(arg, help_behavior_hint=functools.partial(_default_shown, described.unit(name)))
+    if type(None) in get_args(plain) and arg.metavar is None:
+        inner: Any = next(kind for kind in get_args(plain) if kind is not type(None))
+        choices = "{" + ",".join(str(choice.value) for choice in inner) + "}" if issubclass(inner, Enum) else ""
+        arg = replace(arg, metavar=choices or METAVARS.get(inner, "PATH" if inner.__name__ == "Path" else "TEXT"))
+    return Annotated[(plain, *(m for m in metadata if m not in known), arg)]
+
+
+def _default_shown(unit: str, default: str) -> str:
+    """A default as the help shows it; one that is derived, or says that nothing is given, is in the sentence."""
+    if default in ("None", "()", "''", ""):
+        return ""
+    return f"(default: {' '.join((default, unit)).strip()})"
+
+
+def _opened(settings: Any) -> Any:
+    """The same values in the open classes."""
+    values = {f.name: getattr(settings, f.name) for f in fields(settings)}
+    return _open(type(settings))(**{name: _opened(v) if is_dataclass(v) else v for name, v in values.items()})
+
+
+def _judged(kind: type[Any], parsed: Any) -> Any:
+    """The same values in the real classes; raises ValueError for one that may not be."""
+    inner = get_type_hints(kind)
+    values = {f.name: getattr(parsed, f.name) for f in fields(kind)}
+    return kind(**{name: _judged(inner[name], v) if is_dataclass(v) else v for name, v in values.items()})

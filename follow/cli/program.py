@@ -4,8 +4,8 @@ import sys
 from collections.abc import Sequence
 
 from follow.camera import CameraError
-from follow.cli.commands import DoctorCommand, InspectCommand, ReplayCommand, RunCommand, SimCommand
-from follow.cli.layers import read
+from follow.cli.commands import DoctorCommand, ReplayCommand, RunCommand, SimCommand
+from follow.cli.layers import read, settings_of
 from follow.flight.preflight import NotFitError
 from follow.link import LinkError
 from racf.commandline import guarded
@@ -16,7 +16,7 @@ from racf.commandline import guarded
 
 def execute(words: Sequence[str]) -> None:
     """Run the command that the words spell."""
-    command: ReplayCommand | SimCommand | RunCommand | DoctorCommand | InspectCommand = read(words)
+    command = read(words)
     if isinstance(command, ReplayCommand):
         from follow.cli.replay import replay
 
@@ -24,7 +24,7 @@ def execute(words: Sequence[str]) -> None:
     elif isinstance(command, SimCommand):
         from follow.cli.sim import sim
 
-        sim(command, lambda scenario: read(words, scenario).config)
+        sim(command, lambda scenario: settings_of(words, scenario))
     elif isinstance(command, RunCommand):
         from follow.cli.run import fly_live
 

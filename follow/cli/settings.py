@@ -129,13 +129,14 @@ def _lines(branch: "DataclassInstance", name: str) -> Iterator[str]:
         yield f"\n[{name}]"
     for key, value in leaves.items():
         if value is not None:
-            yield f"{key} = {_literal(value)}"
+            yield f"{key} = {literal(value)}"
     for key, value in values.items():
         if key not in leaves:
             yield from _lines(value, f"{name}.{key}" if name else key)
 
 
-def _literal(value: object) -> str:
+def literal(value: object) -> str:
+    """A value as TOML writes it."""
     if isinstance(value, Enum):
         return json.dumps(value.value)
     if isinstance(value, bool):

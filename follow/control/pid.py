@@ -16,11 +16,11 @@ class Gains:
     not finite.
     """
 
-    kp: float
-    ki: float = 0.0
-    kd: float = 0.0
-    limit: float = math.inf
-    filter_s: float = 0.1  # about three frames at 30 frames/s
+    kp: float  # Proportional gain, 1/s.
+    ki: float = 0.0  # Integral gain, 1/s².
+    kd: float = 0.0  # Derivative gain, no unit.
+    limit: float = math.inf  # Largest output: rad/s of yaw, m/s of climb and approach.
+    filter_s: float = 0.1  # Time constant of the derivative's filter: about three frames at 30 frames/s.
 
     def __post_init__(self) -> None:
         if not (self.limit > 0 and 0 < self.filter_s < math.inf):

@@ -36,16 +36,17 @@ class ServoConfig:
     """The desired geometry and the gains.  Raises ValueError for a number out of its range."""
 
     mode: ServoMode = ServoMode.CHASE
-    standoff_m: float = 12.0  # along the ground; a person of 1.8 m is then some 50 pixels high in 640x360
-    orbit_m_s: float = 2.0  # positive flies to the right; a turn about 12 m takes 38 s
+    """Geometry to keep: chase behind, centre (turn and climb only), orbit, profile (beside), top-down (above)."""
+    standoff_m: float = 12.0  # Distance along the ground: a person of 1.8 m is some 50 pixels high in 640x360.
+    orbit_m_s: float = 2.0  # Speed in orbit, positive to the right: a turn at 12 m takes 38 s.
     yaw: Gains = YAW
     climb: Gains = CLIMB
     approach: Gains = APPROACH
-    feed_forward: float = 1.0  # fraction of the target's own velocity added to the setpoint
-    pitch_filter_s: float = 1.0  # time constant of the pitch filter: height follows steady flight only
-    abeam_per_s: float = 0.3  # profile: gain on the angle off abeam, 1/s
-    abeam_m_s: float = 3.0  # profile: fastest speed across the line of sight, m/s
-    course_m_s: float = 0.5  # profile: below this speed the target has no course
+    feed_forward: float = 1.0  # Fraction of the target's own velocity added to the setpoint.
+    pitch_filter_s: float = 1.0  # Time constant of the pitch filter: height follows steady flight only.
+    abeam_per_s: float = 0.3  # Gain on the angle off abeam in profile.
+    abeam_m_s: float = 3.0  # Fastest speed across the line of sight in profile.
+    course_m_s: float = 0.5  # Speed below which a target has no course in profile.
 
     def __post_init__(self) -> None:
         may_be_zero = ("feed_forward", "pitch_filter_s", "abeam_per_s", "abeam_m_s", "course_m_s")

@@ -29,29 +29,27 @@ class TargetConfig:
     Raises ValueError for a number out of its range.
     """
 
-    size_m: float = 1.2  # sqrt(width x height) of what is followed: a person of 0.8 x 1.8 m
-    size_relative_std: float = 0.5  # wide enough for a car; the range by the ground soon corrects it
-    bearing_std_rad: float = 0.02  # 1 degree: attitude error of a small autopilot, plus two pixels of the tracker's
-    box_relative_std: float = 0.1  # apparent size: RACF's scale step is 3 %, aspect changes are larger
-    speed_std_m_s: float = 3.0  # prior of the target's speed: a runner
-    accel_psd: float = (
-        0.5  # m²/s³: a cyclist's turn (2.5 m/s²) for 0.1 s; a lower value adds more lag than it removes noise
-    )
-    minimum_height_m: float = 1.0  # below it the ground gives no range
-    gate_sigmas: float = 4.0  # innovation gate on position, standard deviations
-    gate_size: float = 2.0  # largest ratio of a box's size to the expected size, or its inverse
-    lost_after_s: float = 0.5  # after this long unseen, the target must be confirmed
-    confirm: int = 3  # consecutive frames that confirm it
+    size_m: float = 1.2  # Size of the target, sqrt(width x height): a person of 0.8 x 1.8 m.
+    size_relative_std: float = 0.5  # Uncertainty of size_m, as a fraction of it: wide enough for a car.
+    bearing_std_rad: float = 0.02  # Error of a bearing: 1 degree of a small autopilot's attitude, and two pixels.
+    box_relative_std: float = 0.1  # Error of the box's size, as a fraction: a scale step of RACF is 3 %.
+    speed_std_m_s: float = 3.0  # Speed of the target expected at the start: that of a runner.
+    accel_psd: float = 0.5  # Spectral density of the target's acceleration, m²/s³: lower lags, higher is noisier.
+    minimum_height_m: float = 1.0  # Height below which the ground gives no range.
+    gate_sigmas: float = 4.0  # Largest distance of a box from the prediction, in standard deviations.
+    gate_size: float = 2.0  # Largest ratio of a box's size to the expected size, or of its inverse.
+    lost_after_s: float = 0.5  # A target not seen for this long must be confirmed.
+    confirm: int = 3  # Number of consecutive frames that confirm a target.
     # Ratios of PSR to the target's running mean, measured on ten real sequences (docs/confidence.md):
-    psr_ratio_lost: float = 0.6  # below it a response is rejected: 3 % of frames on the target, 97 % off it
-    psr_ratio_regained: float = 0.7  # the same after a loss: 5 % and 99 %, and `confirm` frames in a row
-    psr_cap: float = 20.0  # cap of the running mean: a PSR of 15 is the target although it was 40 before
-    psr_rate: float = 0.01  # gain of the running mean of accepted frames: about three seconds
-    settle: int = 5  # frames before the mean is used: the first response can be far sharper than any later one
-    steady_s: float = 6.0  # assume constant velocity for this long after the last sighting: past a wall or some trees
-    coast_s: float = 6.0  # then it slows down with this time constant
-    wait_s: float = 0.1  # longest wait for the attitude of a frame's time; the gate's own age limit
-    compensate: bool = True  # use the pose at the frame's time and predict over the delay
+    psr_ratio_lost: float = 0.6  # Ratio of PSR to its mean, below which a box is rejected: 3 % on target, 97 % off.
+    psr_ratio_regained: float = 0.7  # The same ratio while a target must be confirmed: 5 % on target, 99 % off.
+    psr_cap: float = 20.0  # Cap of the mean PSR: a PSR of 15 is the target although it was 40 before.
+    psr_rate: float = 0.01  # Gain of the mean PSR for each accepted frame: it follows within about three seconds.
+    settle: int = 5  # Number of frames before the mean PSR is used: the first response can be far sharper.
+    steady_s: float = 6.0  # Assume constant velocity for this long after the last sighting: past a wall or some trees.
+    coast_s: float = 6.0  # Time constant with which an unseen target slows down after steady_s.
+    wait_s: float = 0.1  # Longest wait for the attitude at a frame's time: as old as the gate lets attitude be.
+    compensate: bool = True  # Use the pose at the frame's time, and predict over the delay.
 
     def __post_init__(self) -> None:
         may_be_zero = (

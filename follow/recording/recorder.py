@@ -38,9 +38,9 @@ FLUSH_EVERY = 15
 class RecordConfig:
     """How the recording is made.  Raises ValueError for a number out of its range."""
 
-    jpeg_quality: int = 75  # of 100; box and texture stay readable, a 640x360 image takes some 40 kB
-    pictures: bool = True  # write flight.rrd; without it ticks.csv and summary.json remain
-    queue: int = 16  # frames waiting for the writer: half a second at 30 frames/s, 100 MB at full HD
+    jpeg_quality: int = 75  # JPEG quality, 1 to 100: at 75 a 640x360 image takes some 40 kB.
+    pictures: bool = True  # Write flight.rrd with its images; ticks.csv and summary.json are always written.
+    queue: int = 16  # Frames that may wait for the writer: half a second at 30 frames/s, 100 MB at full HD.
 
     def __post_init__(self) -> None:
         require_numbers("record setting", self)

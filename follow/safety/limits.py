@@ -17,7 +17,7 @@ class Limits:
     """
 
     speed_m_s: float = 8.0  # Maximum horizontal speed; that of a cyclist.
-    coast_m_s: float = 4.0  # Maximum horizontal speed while the target is not seen; half of speed_m_s.
+    coast_m_s: float = 4.0  # Maximum horizontal speed while the target is not seen: half of a cyclist's.
     climb_m_s: float = 2.0  # Maximum speed up and down; ArduPilot's own defaults are 2.5 up and 1.5 down.
     accel_m_s2: float = 2.5  # Maximum horizontal acceleration: 14 degrees of tilt; PX4 shapes nothing itself.
     jerk_m_s3: float = 10.0  # Maximum jerk: twice ArduPilot's PSC_JERK_XY, which shapes again after us.

@@ -5,11 +5,11 @@ import re
 import shlex
 from pathlib import Path
 
-from follow.cli.commands import Command, RunCommand
+from follow.cli.commands import RunCommand
+from follow.cli.layers import read
 from follow.flight.live_flight import LEAVE_S
 from follow.flight.service import ALIVE_EVERY_S
 from follow.link.connection import HOLD_S
-from racf.commandline import parse
 
 FOLDER = Path(__file__).parents[2] / "docs" / "service"
 
@@ -32,11 +32,13 @@ def test_the_options_are_those_of_follow_run_and_do_not_follow_by_themselves():
     text = (FOLDER / "follow-me.conf").read_text()
     options = re.search(r'^FOLLOW_OPTIONS="(.*)"$', text, re.MULTILINE)
     assert options is not None
-    command = parse(Command, ["run", *shlex.split(options[1]), "--out", "somewhere"], prog="follow", description="")
+    words = shlex.split(options[1])
+    installed_at = words[words.index("--settings") + 1]
+    words[words.index("--settings") + 1] = str(FOLDER / "settings.toml")
+    command = read(["run", *words, "--out", "somewhere"])
     assert isinstance(command, RunCommand)
     assert not command.follow
-    assert command.settings is not None
-    installed = f"sudo cp docs/service/settings.toml {command.settings}"
+    installed = f"sudo cp docs/service/settings.toml {installed_at}"
     assert installed in (FOLDER / "README.md").read_text()
 
 

@@ -6,13 +6,15 @@ import math
 import re
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
+from typing import get_type_hints
 
 import numpy as np
 import pytest
 
+from follow.cli import described
 from follow.cli import run as cli_run
 from follow.cli.commands import RunCommand
-from follow.cli.layers import read
+from follow.cli.layers import NAMES, read
 from follow.cli.program import main
 from follow.cli.run import open_camera, open_scene
 from follow.cli.settings import as_toml, read_settings, tomllib
@@ -20,8 +22,10 @@ from follow.cli.sim import FlightSpec, simulate
 from follow.config import PRESETS, CameraConfig, Config, TargetKind, resolve
 from follow.control.pid import Gains
 from follow.control.servo import ServoConfig, ServoMode
+from follow.control.target import TargetConfig
 from follow.messages import Autopilot
 from follow.operator.terminal import Terminal
+from follow.recording.recorder import RecordConfig
 from follow.safety.limits import Limits
 from racf.commandline import UsageError
 from sim.dynamics import Vehicle, VehicleTruth
@@ -70,9 +74,36 @@ def test_the_example_has_every_setting_at_its_default():
     assert keys(whole) == names(Config())
 
 
-def test_the_example_explains_every_setting_but_a_gain():
-    bare = [line for line in EXAMPLE.read_text().splitlines() if "=" in line and "#" not in line]
-    assert set(bare) <= {"kd = 0.0"}
+KINDS = (*NAMES.values(), CameraConfig, TargetConfig, ServoConfig, Gains, Limits, RecordConfig)
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
+def test_every_option_is_explained_by_whole_sentences(kind):
+    for name, said in described.sentences(kind).items():
+        if not is_dataclass(get_type_hints(kind)[name]):
+            assert re.fullmatch(r"[A-Z].*[.)]", said), f"{name}: {said!r}"
+            assert "..." not in said, name
+
+
+@pytest.mark.parametrize("command", ["", *NAMES])
+def test_help_fits_a_terminal_of_eighty_columns_and_shows_no_none(command, capfd, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    with pytest.raises(SystemExit) as left:
+        main([*command.split(), "--help"])
+    text = capfd.readouterr().out
+    assert not left.value.code
+    assert max(map(len, text.splitlines())) <= 80
+    assert "None" not in text
+    assert "Raises" not in text
+
+
+def test_the_help_shows_a_default_with_its_unit_and_what_the_file_gives(capfd, tmp_path, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
+    path = file_of(tmp_path, "[limits]\nfence_m = 77.0\n")
+    with pytest.raises(SystemExit):
+        main(["run", "--help"])
+    assert "(default: 300.0 m)" in capfd.readouterr().out
+    assert read(["run", "--link", "udpin:127.0.0.1:1", "--settings", str(path)]).config.limits.fence_m == 77.0
 
 
 def test_a_file_sets_what_it_names_and_nothing_else(tmp_path):

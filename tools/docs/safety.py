@@ -1,8 +1,8 @@
-"""Write docs/modes.md and docs/limits.md from the code: the table of modes and events, the gate's limits.
+"""Write docs/modes.md from the code: the table of modes and events.
 
     python -m tools.docs.safety
 
-A test compares both files with the code.
+A test compares the file with the code.
 """
 
 import re
@@ -10,8 +10,6 @@ from pathlib import Path
 
 from follow import messages
 from follow.messages import Mode
-from follow.safety import limits
-from follow.safety.limits import Limits
 from follow.safety.modes import FLYING, STREAMING, TABLE, Event
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -49,27 +47,7 @@ def modes_page() -> str:
     return "\n".join(lines) + "\n"
 
 
-def limits_page() -> str:
-    """Each limit with its default, its meaning and its source."""
-    source = Path(limits.__file__)
-    lines = [
-        "# Limits of the gate",
-        "",
-        "Generated from `follow/safety/limits.py` by `python -m tools.docs.safety`. On the command line: "
-        "`--limits.speed-m-s 2`.",
-        "",
-        "| limit | default | meaning and source |",
-        "|---|---|---|",
-    ]
-    defaults = Limits()
-    for name in Limits.__slots__:
-        default = getattr(defaults, name)
-        shown = "derived" if default is None else f"{default:.4g}"
-        lines.append(f"| `{name}` | {shown} | {reason(source, name)} |")
-    return "\n".join(lines) + "\n"
-
-
-PAGES = {"modes.md": modes_page, "limits.md": limits_page}
+PAGES = {"modes.md": modes_page}
 
 if __name__ == "__main__":
     for page, text in PAGES.items():

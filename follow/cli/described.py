@@ -1,0 +1,64 @@
+"""What each setting and option does, in the words beside it in the code: the one source of help and pages."""
+
+import ast
+import functools
+import inspect
+import io
+import re
+import textwrap
+import tokenize
+from dataclasses import fields
+from typing import Any
+
+UNITS = {
+    "m_s": "m/s",
+    "m_s2": "m/s²",
+    "m_s3": "m/s³",
+    "rad_s": "rad/s",
+    "rad_s2": "rad/s²",
+    "per_s": "1/s",
+    "px": "pixels",
+    "deg": "degrees",
+    "rad": "rad",
+    "m": "m",
+    "s": "s",
+}
+"""Suffix of a name -> its unit."""
+
+
+def unit(name: str) -> str:
+    """The unit that a setting's name ends in, or "" for one that bears none."""
+    parts = name.split("_")
+    return next((UNITS[end] for n in range(1, len(parts)) if (end := "_".join(parts[n:])) in UNITS), "")
+
+
+@functools.cache
+def sentences(kind: type[Any]) -> dict[str, str]:
+    """Field -> what its docstring, or else its comment, says; "" for a field that has neither.
+
+    `kind` is a dataclass whose source is at hand.  A docstring follows its field, a comment ends the field's last line.
+    """
+    source = textwrap.dedent(inspect.getsource(kind))
+    comments = {
+        token.start[0]: token.string.lstrip("# ")
+        for token in tokenize.generate_tokens(io.StringIO(source).readline)
+        if token.type == tokenize.COMMENT
+    }
+    said = dict.fromkeys((f.name for f in fields(kind)), "")
+    (definition,) = ast.parse(source).body
+    assert isinstance(definition, ast.ClassDef)
+    before = ""
+    for node in definition.body:
+        if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
+            before = node.target.id
+            said[before] = comments.get(node.end_lineno or 0, "")
+        elif before and isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+            said[before] = " ".join(str(node.value.value).split())
+            before = ""
+    return said
+
+
+def summary(kind: type[Any], *, whole: bool) -> str:
+    """A class's docstring for a person: its first sentence or all of it, without what it raises."""
+    text = re.sub(r"\s*\bRaises \w+Error\b[^.]*\.", "", inspect.getdoc(kind) or "").strip()
+    return text if whole else " ".join(re.split(r"(?<=[.!?])\s", text, maxsplit=1)[0].split())
