@@ -9,7 +9,18 @@ from numpy.typing import NDArray
 
 from follow.camera import Camera
 from follow.link import Link
-from follow.messages import NEVER, Decision, Estimate, Order, Setpoint, Tick, VehicleState
+from follow.messages import (
+    NEVER,
+    NO_INSTRUCTION,
+    Decision,
+    Estimate,
+    Instruction,
+    Order,
+    Reason,
+    Setpoint,
+    Tick,
+    VehicleState,
+)
 from racf.box import Box
 from racf.track import Track
 
@@ -45,12 +56,19 @@ class Controller(Protocol):
 class SetpointGate(Protocol):
     """The gate; `follow.safety.gate.Safety` is one."""
 
-    def allow(self, desired: Setpoint, estimate: Estimate, state: VehicleState, frame_t_s: float) -> Decision:
+    def allow(
+        self,
+        desired: Setpoint,
+        estimate: Estimate,
+        state: VehicleState,
+        frame_t_s: float,
+        instruction: Instruction = NO_INSTRUCTION,
+    ) -> Decision:
         """Limit the desired setpoint at `state.t_s`; `frame_t_s` is when the newest frame was taken."""
         ...
 
-    def order(self, order: Order) -> None:
-        """Take the operator's order; the next round acts on it."""
+    def order(self, order: Order, reason: Reason | None = None) -> None:
+        """Give an order; the next round acts on it."""
         ...
 
 
@@ -61,7 +79,7 @@ def follow(
     target: TargetEstimator,
     servo: Controller,
     safety: SetpointGate,
-    orders: Callable[[], Order | None] = lambda: None,
+    operator: Callable[[], Instruction] = lambda: NO_INSTRUCTION,
 ) -> Iterator[Tick]:
     """Keep the target in view until the frames end, yielding one Tick a round."""
     frame_t_s = NEVER
@@ -75,9 +93,7 @@ def follow(
         clock.append(perf_counter())
         estimate = target.update(track, state, frame_t_s)
         desired = servo.update(estimate, state)
-        if order := orders():
-            safety.order(order)
-        decision = safety.allow(desired, estimate, state, frame_t_s)
+        decision = safety.allow(desired, estimate, state, frame_t_s, operator())
         clock.append(perf_counter())
         link.send(decision.setpoint)
         clock.append(perf_counter())

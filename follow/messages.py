@@ -71,7 +71,8 @@ class VehicleState:
     `mode` is the autopilot's own name for its flight mode as of `heartbeat_t_s`; `in_control` says that the autopilot
     obeys our setpoints; `refusal` is its reason for refusing our last mode request, empty if it did not.
     `rc_healthy` is the autopilot's own word about its remote control (None: unknown), `rc_t_s` the time of the last
-    channels.  `contested_t_s` is the last time that a second sender used the vehicle's id.
+    channels.  `said` is the autopilot's last STATUSTEXT.  `contested_t_s` is the last time that a second sender used
+    the vehicle's id.
     """
 
     t_s: float
@@ -114,6 +115,8 @@ class VehicleState:
     battery: BatteryLevel = BatteryLevel.UNKNOWN
     rc_t_s: float = NEVER
     rc_healthy: bool | None = None
+    said_t_s: float = NEVER
+    said: str = ""
     contested_t_s: float = NEVER
 
     @property
@@ -191,7 +194,75 @@ class Order(str, Enum):
     """What the operator orders."""
 
     FOLLOW = "follow"
-    OBSERVE = "observe"
+    OBSERVE = "observe"  # end the stream at once
+    LEAVE = "leave"  # ramp to zero, then end the stream
+
+
+class Cause(str, Enum):
+    """Why the gate is in its mode: the closed list.  `{what}` and `{seconds}` are filled in by a Reason."""
+
+    STARTED = "the program started"
+    READY = "FOLLOW can be ordered"
+    NOT_READY = "{what}"
+    ORDER_WAITS = "FOLLOW ordered by {what}"
+    ORDER_REFUSED = "FOLLOW refused: {what}"
+    ORDER_VOID = "the order is void: {what}"
+    FOLLOW_ORDERED = "FOLLOW ordered by {what}"
+    OBSERVE_ORDERED = "OBSERVE ordered by {what}"
+    LEAVING = "leaving: {what}"
+    STICK = "the pilot moved a stick"
+    OTHER_SENDER = "{what}"
+    OBEYS = "the autopilot obeys"
+    REFUSED = "the autopilot refused: {what}"
+    IGNORED = "the autopilot did not obey within {seconds:g} s"
+    MODE_LEFT = "the vehicle went to {what}"
+    DISARMED = "the vehicle is disarmed"
+    NOT_SEEN = "target not seen for {seconds:.1f} s"
+    SEEN = "target seen"
+    STALE = "{what}"
+    FRESH = "the data are fresh again"
+    STOPPED = "stopped: {what}"
+    HOLD_OVER = "nobody took over within {seconds:g} s of hovering"
+    LANDED = "the vehicle is on the ground"
+    BATTERY = "the autopilot reports battery {what}"
+    REMOTE_LOST = "the remote control is lost"
+    NOT_OBEYING = "the vehicle does not fly what is sent: {what}"
+    CONTRADICTION = "{what}"
+    NO_HEADING = "the heading is invalid"
+
+
+@dataclass(frozen=True, slots=True)
+class Reason:
+    """A cause with its parameters; `str()` gives the sentence for a person."""
+
+    cause: Cause
+    what: str = ""
+    seconds: float = 0.0
+
+    def __str__(self) -> str:
+        return self.cause.value.format(what=self.what, seconds=self.seconds)
+
+
+STARTED = Reason(Cause.STARTED)
+
+
+@dataclass(frozen=True, slots=True)
+class Instruction:
+    """What the operator's side tells the gate in one round: an order with its reason, and what forbids FOLLOW now."""
+
+    order: Order | None = None
+    reason: Reason = STARTED
+    forbids: str = ""
+
+
+NO_INSTRUCTION = Instruction()
+
+
+class Release(str, Enum):
+    """What the link requests of the autopilot when the stream ends, if the vehicle is still in our mode."""
+
+    HOLD = "Hold or BRAKE"
+    STICKS = "the mode in which the pilot's sticks act"
 
 
 class Mode(str, Enum):
@@ -210,11 +281,16 @@ class Mode(str, Enum):
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """The gate's answer: the setpoint to send (None: send nothing), the gate's mode, and notes for a person."""
+    """The gate's answer: the setpoint to send (None: send nothing), the gate's mode and the reason for it.
+
+    `notes` name the limits and stale data of this round.  `release` says what to request as the stream ends.
+    """
 
     setpoint: Setpoint | None
     mode: Mode
     notes: tuple[str, ...] = ()
+    reason: Reason = STARTED
+    release: Release = Release.HOLD
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -110,7 +110,6 @@ WORDS_LEFT: dict[str, int] = {
     "docs/evaluation.md": 9,
     "docs/flights.md": 3,
     "docs/racf.md": 9,
-    "docs/safety.md": 1,
     "docs/scenes.md": 23,
     "docs/service/README.md": 6,
     "docs/vehicle.md": 2,

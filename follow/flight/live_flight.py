@@ -19,7 +19,7 @@ from follow.flight.service import Service
 from follow.link import Link
 from follow.link.connection import MavlinkLink
 from follow.loop import BoxTracker, Controller, SetpointGate, TargetEstimator, follow
-from follow.messages import HOVER, NEVER, Estimate, Mode, Notify, Order, Tick
+from follow.messages import HOVER, Cause, Estimate, Mode, Notify, Order, Reason, Release, Tick
 from follow.operator.authority import Keys, Operator, signals
 
 ROUND_S = 0.05  # 20 setpoints a second while ramping down: the usual rate for either autopilot
@@ -33,25 +33,32 @@ class FlyingLink(Link, Protocol):
         """Request OFFBOARD or GUIDED, once."""
         ...
 
+    def hold(self, *, for_sticks: bool = False) -> object:
+        """Request Hold or BRAKE, or the mode in which the sticks act, if the vehicle still obeys us."""
+        ...
 
-def engaging(ticks: Iterable[Tick], link: FlyingLink) -> Iterator[Tick]:
-    """Pass the ticks on; request the mode once, when the gate begins to engage."""
+
+def taking_and_giving(ticks: Iterable[Tick], link: FlyingLink) -> Iterator[Tick]:
+    """Pass the ticks on; request our mode when the gate begins to engage, the pilot's when a stick ended the stream."""
     before = Mode.OBSERVE
     for tick in ticks:
-        if tick.decision.mode is Mode.ENGAGE is not before:
+        mode = tick.decision.mode
+        if mode is Mode.ENGAGE is not before:
             link.take_control()
-        before = tick.decision.mode
+        elif mode is Mode.ENDED is not before and tick.decision.release is Release.STICKS:
+            link.hold(for_sticks=True)
+        before = mode
         yield tick
 
 
 def ramping_down(
     link: Link, safety: SetpointGate, pause: Callable[[], None], rounds: int = int(LEAVE_S / ROUND_S)
 ) -> Iterator[Tick]:
-    """Rounds without a frame: the gate ramps to zero and then ends the stream, which ends these rounds."""
+    """Rounds without the camera, after the order LEAVE: the gate ramps to zero and ends the stream."""
     for _ in range(rounds):
         state = link.state()
         unseen = Estimate(state.t_s, 0.0, 0.0, 1.0, 0.0)
-        decision = safety.allow(HOVER, unseen, state, NEVER)
+        decision = safety.allow(HOVER, unseen, state, state.t_s)
         link.send(decision.setpoint)
         yield Tick(None, None, state, unseen, HOVER, decision)
         if decision.setpoint is None:
@@ -95,7 +102,7 @@ def fly(
     with signals(operator), Keys() as keys:
         service.ready()
         try:
-            for tick in engaging(loop, p.link):
+            for tick in taking_and_giving(loop, p.link):
                 record(tick)
                 operator.see(tick)
                 service.alive(tick.state.t_s, tick.decision.mode.value)
@@ -106,9 +113,8 @@ def fly(
             why = operator.leaving or "the flight is over"
         finally:
             service.stopping()
-            operator.report(f"leaving ({why}): ramping down")
-            if operator.mode is Mode.ENGAGE:
-                p.safety.order(Order.OBSERVE)  # not in control yet: cancel the pending takeover
+            operator.report(f"leaving: {why}")
+            p.safety.order(Order.LEAVE, Reason(Cause.LEAVING, why))
             for tick in ramping_down(p.link, p.safety, pause):
                 record(tick)
                 operator.see(tick)

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from follow.control.acquire import Acquire
-from follow.messages import Order, Tick
+from follow.messages import NO_INSTRUCTION, Cause, Instruction, Order, Reason, Tick
 from follow.operator.terminal import Terminal, result
 from follow.recording.recorder import FILES, Recorder
 from follow.recording.summary import Figures
@@ -27,10 +27,10 @@ def acquire(name: str, box: Box) -> Acquire:
     return Acquire(tracker.init, lambda image, _prior: tracker.update(image), box)
 
 
-def once(order: Order) -> Callable[[], Order | None]:
+def once(order: Order) -> Callable[[], Instruction]:
     """An operator who gives one order, in the first round."""
-    orders = iter((order,))
-    return lambda: next(orders, None)
+    orders = iter((Instruction(order, Reason(Cause.FOLLOW_ORDERED, "the command line")),))
+    return lambda: next(orders, NO_INSTRUCTION)
 
 
 def fly(ticks: Iterable[Tick], recorder: Recorder, terminal: Terminal, truth: Callable[[Tick], Box | None]) -> bool:

@@ -276,8 +276,9 @@ class TelemetryDecoder:
     def _take_autopilot_version(self, message: dialect.MAVLink_autopilot_version_message, _t_s: float) -> None:
         self.heard.version = message
 
-    def _take_statustext(self, message: dialect.MAVLink_statustext_message, _t_s: float) -> None:
+    def _take_statustext(self, message: dialect.MAVLink_statustext_message, t_s: float) -> None:
         self.heard.texts.append(message.text)
+        self.state = replace(self.state, said_t_s=t_s, said=message.text)
 
     TAKES: ClassVar[dict[str, Callable[["TelemetryDecoder", Any, float], None]]] = {
         "HEARTBEAT": _take_heartbeat,

@@ -1,7 +1,7 @@
 """The operator's authority: who may order FOLLOW, and what takes it back.
 
 An order comes only from the command line, a key, SIGUSR1 or a switch on the remote control.  It is taken back by the
-same, by a stick that moves, or by another sender that steers the same vehicle.
+same, by a stick that moves, or by another sender that steers the same vehicle; each of these discards waiting orders.
 """
 
 import contextlib
@@ -18,7 +18,7 @@ from typing import Protocol
 
 from typing_extensions import Self
 
-from follow.messages import NEVER, Mode, Notify, Order, Tick, VehicleState
+from follow.messages import NEVER, Cause, Instruction, Mode, Notify, Order, Reason, Tick, VehicleState
 from follow.safety.modes import STREAMING
 
 SWITCH_ON_US = 1700  # PWM above which a switch is on; between the two it keeps its state
@@ -27,9 +27,13 @@ STICK_US = 150  # 30 % of a stick's travel from the centre: the default of PX4's
 STICKS = 4  # channels 1 to 4, in any order
 PWM = range(800, 2201)  # valid pulses; 0 and 65535 mean that the channel does not exist
 RECENT_S = 2.0  # timeout of messages from the remote control and from other senders
+EDGE_S = 0.3  # a switch must keep its new position for this long: one wrong sample is not an order
+STICK_SAMPLES = 2  # a stick must be off its position in this many samples in a row
 
 KEYS = {"f": Order.FOLLOW, "o": Order.OBSERVE, " ": Order.OBSERVE}
-"""Keys in the terminal; `q` ends the flight."""
+"""Keys in the terminal; `q` ends the flight, `h` and `?` list the keys."""
+
+KEYS_HELP = "keys: f follow, o or space observe (give the vehicle back), q leave, h this list"
 
 
 class RemoteObservations(Protocol):
@@ -42,41 +46,57 @@ class RemoteObservations(Protocol):
 
 @dataclass(slots=True)
 class Remote:
-    """The remote control: the state of its switch, and the positions of the sticks when FOLLOW began."""
+    """The remote control: the state of its switch, and the positions of the sticks when FOLLOW was ordered."""
 
     channel: int | None = None  # from 1; None: no switch
     was_on: bool | None = None
+    turning: tuple[bool, float] | None = None  # a new position of the switch, and since when
     sticks: tuple[int, ...] | None = None
+    off_centre: int = 0  # samples in a row with a stick off its position
+    t_s: float = NEVER  # of the last sample
 
-    def switched(self, channels: tuple[int, ...]) -> Order | None:
+    def forget(self) -> None:
+        """The remote control was lost: where its switch stands afterwards is not an order."""
+        self.was_on, self.turning, self.off_centre = None, None, 0
+
+    def switched(self, channels: tuple[int, ...], t_s: float) -> Order | None:
         """The order that the switch has just given.  The switch's initial position is not an order."""
         if self.channel is None or len(channels) < self.channel or channels[self.channel - 1] not in PWM:
             return None
         pwm = channels[self.channel - 1]
-        if SWITCH_OFF_US < pwm < SWITCH_ON_US:
+        is_on = pwm >= SWITCH_ON_US
+        if SWITCH_OFF_US < pwm < SWITCH_ON_US or is_on is self.was_on:
+            self.turning = None
             return None
-        before, self.was_on = self.was_on, pwm >= SWITCH_ON_US
-        if before in (None, self.was_on):
+        if self.turning is None or self.turning[0] is not is_on:
+            self.turning = is_on, t_s
+        if t_s - self.turning[1] < EDGE_S:
             return None
-        return Order.FOLLOW if self.was_on else Order.OBSERVE
+        before, self.was_on, self.turning = self.was_on, is_on, None
+        if before is None:
+            return None
+        return Order.FOLLOW if is_on else Order.OBSERVE
 
-    def stick_moved(self, channels: tuple[int, ...], flying: bool) -> bool:
+    def stick_moved(self, channels: tuple[int, ...], watching: bool, t_s: float) -> bool:
         """Whether a stick has left its position at the start of FOLLOW (a throttle rests at its lower end)."""
         sticks = channels[:STICKS]
-        if not flying:
-            self.sticks = None
-        if not flying or len(sticks) < STICKS or any(pwm not in PWM for pwm in sticks):
+        if not watching:
+            self.sticks, self.off_centre = None, 0
+        if not watching or len(sticks) < STICKS or any(pwm not in PWM for pwm in sticks):
             return False  # no valid pulses: keep the positions from before the gap
         if self.sticks is None:
             self.sticks = sticks
-        return any(abs(now - before) > STICK_US for now, before in zip(sticks, self.sticks, strict=True))
+        is_off = any(abs(now - before) > STICK_US for now, before in zip(sticks, self.sticks, strict=True))
+        if t_s > self.t_s:
+            self.off_centre, self.t_s = (self.off_centre + 1 if is_off else 0), t_s
+        return self.off_centre >= STICK_SAMPLES
 
 
 @dataclass(slots=True)
 class Operator:
-    """Called by the loop once a round for an order.  `see` takes each tick.
+    """Called by the loop once a round for an instruction.  `see` takes each tick.
 
-    `at_once` orders FOLLOW when the checks are first green, once.  `red` lists the failed checks that forbid FOLLOW.
+    `at_once` orders FOLLOW when the gate is first READY, once.  `red` lists the failed checks that forbid FOLLOW.
     """
 
     report: Notify
@@ -87,35 +107,50 @@ class Operator:
     aim: Callable[[], object] = lambda: None  # called when FOLLOW is ordered
     leaving: str = ""  # why the program must end; empty: it must not
     mode: Mode = Mode.OBSERVE
+    reason: Reason | None = None
+    began_t_s: float = NEVER
     state: VehicleState = field(default_factory=lambda: VehicleState(NEVER))
     remote: Remote = field(init=False)
-    waiting: list[Order] = field(default_factory=list[Order])
+    waiting: list[tuple[Order, str]] = field(default_factory=list[tuple[Order, str]])
 
     def __post_init__(self) -> None:
         self.remote = Remote(self.channel)
 
-    def __call__(self) -> Order | None:
-        """The order of this round."""
-        order = self.taken_back() or self.asked()
-        if order is Order.FOLLOW and self.mode not in STREAMING:
-            if red := (*self.red, *self.other_senders()):
-                self.report(f"will not follow: {'; '.join(red)}")
-                return None
-            self.report("ordered to follow")
+    def __call__(self) -> Instruction:
+        """The instruction of this round."""
+        forbids = "; ".join((*self.red, *self.other_senders()))
+        if reason := self.taken_back():
+            self.waiting.clear()
+            return Instruction(Order.OBSERVE, reason, forbids)
+        asked = self.asked()
+        if asked is None:
+            return Instruction(forbids=forbids)
+        order, by = asked
+        if order is Order.OBSERVE:
+            self.waiting.clear()
+            return Instruction(order, Reason(Cause.OBSERVE_ORDERED, by), forbids)
+        if self.mode not in STREAMING and not forbids:
             self.aim()
-        return order
+        return Instruction(order, Reason(Cause.FOLLOW_ORDERED, by), forbids)
 
     def see(self, tick: Tick) -> None:
-        """Take one round, and report a change of mode."""
-        mode, before = tick.decision.mode, self.mode
-        self.mode, self.state = mode, tick.state
-        if mode is not before:
-            why = f" ({'; '.join(tick.decision.notes)})" if tick.decision.notes else ""
-            self.report(f"{tick.state.t_s:.1f} s: {mode.value}{why}, vehicle in {tick.state.mode or 'no mode'}")
+        """Take one round, and report a new mode or a new reason for it once."""
+        decision, before = tick.decision, (self.mode, self.reason)
+        if decision.mode is not self.mode and self.mode in STREAMING and decision.mode not in STREAMING:
+            self.waiting.clear()
+        if self.state.mode and tick.state.mode != self.state.mode:
+            self.waiting.clear()
+        self.mode, self.state, self.reason = decision.mode, tick.state, decision.reason
+        if self.began_t_s == NEVER:
+            self.began_t_s = tick.state.t_s
+        if (self.mode, self.reason) != before:
+            at_s = tick.state.t_s - self.began_t_s
+            where = tick.state.mode or "no known mode"
+            self.report(f"{at_s:.1f} s: {self.mode.value} ({self.reason}), vehicle in {where}")
 
-    def order(self, order: Order) -> None:
+    def order(self, order: Order, by: str = "the program") -> None:
         """Queue an order; the next round gives it."""
-        self.waiting.append(order)
+        self.waiting.append((order, by))
 
     def leave(self, why: str) -> None:
         """End the flight; the second call ends it without the ramp."""
@@ -123,32 +158,36 @@ class Operator:
             raise KeyboardInterrupt
         self.leaving = why
 
-    def asked(self) -> Order | None:
-        """The order from the switch, the command line, a key or a signal."""
-        if self.heard is not None and self.is_recent(self.heard.rc_t_s):
-            order = self.remote.switched(self.heard.rc_channels)
+    def asked(self) -> tuple[Order, str] | None:
+        """The order from the switch, the command line, a key or a signal, and where it comes from."""
+        if self.hears_remote() and self.heard is not None:
+            order = self.remote.switched(self.heard.rc_channels, self.heard.rc_t_s)
             if order is not None:
-                return order
+                return order, f"the switch on channel {self.channel}"
         if self.at_once and self.mode is Mode.READY:
             self.at_once = False
-            return Order.FOLLOW
+            return Order.FOLLOW, "--follow"
         return self.waiting.pop(0) if self.waiting else None
 
-    def taken_back(self) -> Order | None:
-        """OBSERVE when a stick moved or another sender steers while we stream."""
-        flying = self.mode in STREAMING
+    def hears_remote(self) -> bool:
+        """Whether the remote control is heard now and healthy; forgets its switch's position if it is not."""
+        if self.heard is None or not self.is_recent(self.heard.rc_t_s) or self.state.rc_healthy is False:
+            self.remote.forget()
+            return False
+        return True
+
+    def taken_back(self) -> Reason | None:
+        """Why the vehicle must be given back: a stick moved, or another sender steers while we stream."""
+        streaming = self.mode in STREAMING
         if self.heard is None:
             return None
-        moved = self.remote.stick_moved(self.heard.rc_channels, flying)
-        if not flying:
-            return None
-        if moved:
-            self.report("a stick was moved: the pilot has control")
-            return Order.OBSERVE
-        if others := self.other_senders():
-            self.report(f"stopping: {'; '.join(others)}")
-            return Order.OBSERVE
-        return None
+        healthy = self.hears_remote()
+        waiting = self.reason is not None and self.reason.cause is Cause.ORDER_WAITS
+        channels = self.heard.rc_channels if healthy else ()
+        if self.remote.stick_moved(channels, streaming or waiting, self.heard.rc_t_s):
+            return Reason(Cause.STICK)
+        others = self.other_senders()
+        return Reason(Cause.OTHER_SENDER, "; ".join(others)) if streaming and others else None
 
     def other_senders(self) -> tuple[str, ...]:
         """One line for each other sender that steers the vehicle now."""
@@ -172,7 +211,7 @@ def signals(operator: Operator) -> Generator[None, None, None]:
     """
 
     def usr1(_number: int, _frame: FrameType | None) -> None:
-        operator.order(Order.FOLLOW)
+        operator.order(Order.FOLLOW, "SIGUSR1")
 
     def end(number: int, _frame: FrameType | None) -> None:
         if number == signal.SIGHUP and operator.leaving:
@@ -217,4 +256,6 @@ class Keys:
             if key == "q":
                 operator.leave("key q")
             elif key in KEYS:
-                operator.order(KEYS[key])
+                operator.order(KEYS[key], "the space bar" if key == " " else f"key {key}")
+            elif key in "h?":
+                operator.report(KEYS_HELP)

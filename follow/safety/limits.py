@@ -41,7 +41,9 @@ class Limits:
     search_after_s: float = 4.0  # Timeout of COAST, then SEARCH; from half of it on the setpoint is scaled down.
     give_up_after_s: float = 20.0  # Timeout of SEARCH, then HOLD; a walker may be 28 m from its prediction by then.
     stale_grace_s: float = 1.0  # Grace period for stale data before the stream stops or an order is void.
-    order_timeout_s: float = 30.0  # An order to follow that cannot be obeyed within this time is void.
+    hold_timeout_s: float = 30.0  # Timeout of HOLD, then the autopilot's own Hold, which also holds the position.
+    ready_after_s: float = 0.5  # FOLLOW must be possible for this long before READY is shown; against flicker.
+    order_timeout_s: float = 3.0  # An order that cannot be carried out within this time is void.
     engage_timeout_s: float = 5.0  # Timeout for the autopilot to obey; PX4 needs 1 s of stream and 1 s to report.
 
     def __post_init__(self) -> None:

@@ -5,7 +5,18 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from follow.loop import follow
-from follow.messages import HOVER, NEVER, Decision, Estimate, Frame, Order, VehicleState
+from follow.messages import (
+    HOVER,
+    NEVER,
+    NO_INSTRUCTION,
+    Decision,
+    Estimate,
+    Frame,
+    Instruction,
+    Mode,
+    Order,
+    VehicleState,
+)
 from racf.box import Box
 from racf.track import Track
 
@@ -19,6 +30,7 @@ class Pieces:
 
     rounds: list[Frame | None]
     said: list[object] = field(default_factory=list)
+    instructions: list[Instruction] = field(default_factory=list)
     t_s: float = 0.0
 
     def frames(self):
@@ -34,12 +46,13 @@ class Pieces:
     def predict(self, state, t_s):
         return BOX
 
-    def order(self, order):
+    def order(self, order, reason=None):
         self.said.append(order)
 
-    def allow(self, desired, estimate, state, frame_t_s):
+    def allow(self, desired, estimate, state, frame_t_s, instruction=NO_INSTRUCTION):
         self.said.append(("allow", frame_t_s))
-        return Decision(desired, "follow")
+        self.instructions.append(instruction)
+        return Decision(desired, Mode.FOLLOW)
 
 
 class Tracker:
@@ -59,9 +72,9 @@ class Servo:
         return HOVER
 
 
-def fly(rounds, orders=lambda: None):
+def fly(rounds, operator=lambda: NO_INSTRUCTION):
     pieces = Pieces(rounds)
-    ticks = list(follow(pieces, pieces, Tracker(), Target(), Servo(), pieces, orders))
+    ticks = list(follow(pieces, pieces, Tracker(), Target(), Servo(), pieces, operator))
     return ticks, pieces.said
 
 
@@ -83,7 +96,9 @@ def test_the_prior_reaches_the_tracker():
     assert ticks[0].track.box == BOX
 
 
-def test_an_order_is_heard_before_the_gate_decides():
-    waiting = [Order.FOLLOW]
-    _, said = fly([None], lambda: waiting.pop() if waiting else None)
-    assert said[0] is Order.FOLLOW
+def test_the_gate_hears_the_operators_instruction_of_the_same_round():
+    pieces = Pieces([None, None])
+    instructions = [Instruction(Order.FOLLOW), Instruction(forbids="a red check")]
+    given = iter(instructions)
+    list(follow(pieces, pieces, Tracker(), Target(), Servo(), pieces, lambda: next(given)))
+    assert pieces.instructions == instructions

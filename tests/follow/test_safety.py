@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from follow.messages import HOVER, NEVER, Estimate, Landed, Mode, Order, Setpoint, VehicleState
+from follow.messages import HOVER, NEVER, Autopilot, Estimate, Landed, Mode, Order, Setpoint, VehicleState
 from follow.safety.envelope import approach_speed, in_view, limit_closing_speed, limit_to_fence
 from follow.safety.gate import Gate, Limits, Safety, decide
 from follow.safety.ramps import VelocityRamp, YawRateRamp
@@ -22,11 +22,13 @@ def flying(t_s, **changes):
         attitude_t_s=t_s,
         position_t_s=t_s,
         heartbeat_t_s=t_s,
-        landed_t_s=t_s,
-        landed=Landed.IN_AIR,
         down_m=-20.0,
+        autopilot=Autopilot.PX4,
+        mode="OFFBOARD" if changes.get("in_control", True) else "HOLD",
         in_control=True,
         armed=True,
+        landed_t_s=t_s,
+        landed=Landed.IN_AIR,
     )
     return replace(state, **changes)
 
@@ -133,7 +135,7 @@ def test_the_first_setpoint_is_the_present_velocity():
     assert first.yaw_rate_rad_s == pytest.approx(0.1)
 
 
-@pytest.mark.parametrize(("height", "sink"), [(LIMITS.floor_m + 0.2, 2.0), (LIMITS.floor_m - 0.5, 1.0)])
+@pytest.mark.parametrize(("height", "sink"), [(LIMITS.floor_m + 0.2, 2.0), (LIMITS.floor_m + 1.0, 1.0)])
 def test_engaging_does_not_keep_up_a_descent_through_the_floor(height, sink):
     safety = Safety(LIMITS)
     safety.order(Order.FOLLOW)
@@ -262,7 +264,7 @@ def test_a_short_stall_is_ridden_out():
 
 @pytest.mark.parametrize(("height", "desired"), [(1.5, 1.0), (101.0, -1.0)])
 def test_beyond_the_altitude_band_the_vehicle_is_led_back_slowly(height, desired):
-    safety, t_s = engaged(down_m=-height)
+    safety, t_s = engaged()
     sent = fly(safety, t_s, 1.0, Setpoint(down_m_s=desired), down_m=-height)[-1].setpoint
     assert sent is not None
     assert 0 < -sent.down_m_s * math.copysign(1, desired) <= 0.5

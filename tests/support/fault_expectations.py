@@ -104,15 +104,15 @@ def falls_silent(within_s: float, modes: tuple[str, ...] = ()) -> Expectation:
 
 
 def pilot_has_it(within_s: float) -> Expectation:
-    """A stick moved: the stream ends; the vehicle is in the pilot's mode, or in Hold or BRAKE."""
+    """A stick moved: the stream ends; the vehicle is in a mode in which the pilot's sticks act."""
 
     def judge(o: Outcome, autopilot: Autopilot) -> list[str]:
         wrong = [] if o.silent_s <= within_s else [f"sent until {o.silent_s:.2f} s"]
-        if o.vehicle_mode not in ("POSCTL", HOLD[autopilot]):
+        if o.vehicle_mode not in ("POSCTL", "LOITER"):
             wrong.append(f"the vehicle ended in {o.vehicle_mode}")
         return wrong
 
-    must = "ends the stream; the vehicle is in the pilot's mode, Hold or BRAKE"
+    must = "ends the stream; the pilot's sticks act"
     return Expectation(must, f"last setpoint within {within_s:g} s", judge, silence)
 
 

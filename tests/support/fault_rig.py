@@ -172,6 +172,9 @@ class Rig:
     def take_control(self) -> None:
         self.client.take_control()
 
+    def hold(self, *, for_sticks: bool = False) -> None:
+        self.client.hold(for_sticks=for_sticks)
+
     def __enter__(self) -> "Rig":
         return self
 

@@ -9,42 +9,67 @@ import re
 from pathlib import Path
 
 from follow import messages
-from follow.messages import Mode
-from follow.safety.modes import FLYING, STREAMING, TABLE, Event
+from follow.messages import Cause, Mode
+from follow.safety import modes as modes_source
+from follow.safety.modes import FLYING, OPEN_MODES, ROWS, STREAMING, Event, Standing
 
 DOCS = Path(__file__).parents[2] / "docs"
 
 
-def reason(source: Path, name: str) -> str:
-    """The comment beside the definition of `name`."""
-    found = re.search(rf"(?m)^    {name}\b[^#\n]*#\s*(.*)$", source.read_text())
+def reason(source: Path, name: str, within: str = "") -> str:
+    """The comment beside the definition of `name`, in the class `within` if one is given."""
+    text = source.read_text()
+    start = text.index(f"class {within}(") if within else 0
+    found = re.search(rf"(?m)^    {name}\b[^#\n]*#\s*(.*)$", text[start:])
     return found.group(1) if found else ""
 
 
 def modes_page() -> str:
-    """The diagram (Mermaid, which GitHub draws) and the table."""
+    """The diagram (Mermaid, which GitHub draws) and the tables."""
     source = Path(messages.__file__)
+    left_out = (Event.CONTROL_LOST, Event.ORDER_OBSERVE, Event.ORDER_LEAVE, Event.STALE, Event.MUST_STOP)
     lines = [
         "# Modes of the gate",
         "",
         "Generated from the table in `follow/safety/modes.py` by `python -m tools.docs.safety`. An event that the",
-        "table does not name for a mode changes nothing. A takeover, a disarm or the order OBSERVE ends every flying",
-        "mode, and stale data change every flying mode to brake; the diagram leaves these arrows out.",
+        "table does not name for a mode changes nothing. A takeover, a disarm, a stick or the order OBSERVE ends every",
+        "flying mode; stale data, a low battery, a lost remote control or leaving changes every flying mode to brake.",
+        "The diagram leaves these arrows out.",
         "",
         "```mermaid",
         "stateDiagram-v2",
         f"    [*] --> {Mode.OBSERVE.value}",
     ]
-    common = (Event.CONTROL_LOST, Event.ORDER_OBSERVE, Event.STALE)
-    lines += [f"    {a.value} --> {b.value}: {e.value}" for (a, e), b in TABLE.items() if e not in common]
+    for modes, _, event, then in ROWS:
+        lines += [f"    {mode.value} --> {then.value}: {event.value}" for mode in modes if event not in left_out]
     lines += ["```", "", "| mode | what it does | sends |", "|---|---|---|"]
     for mode in Mode:
         sends = "setpoints" if mode in STREAMING else "nothing"
-        lines.append(f"| {mode.value} | {reason(source, mode.name)} | {sends} |")
-    names = ", ".join(mode.value for mode in FLYING)
-    lines += ["", f"Flying modes: {names}.", "", "| in | on | to |", "|---|---|---|"]
-    lines += [f"| {a.value} | {e.value} | {b.value} |" for (a, e), b in TABLE.items()]
+        lines.append(f"| {mode.value} | {reason(source, mode.name, 'Mode')} | {sends} |")
+    lines += ["", f"Flying modes: {', '.join(mode.value for mode in FLYING)}."]
+    lines += ["", "## Whose mode the vehicle is in", "", "| | |", "|---|---|"]
+    lines += [f"| {where.value} | {reason(Path(modes_source.__file__), where.name)} |" for where in Standing]
+    lines += ["", "FOLLOW may be ordered, above the height `floor_m`, out of these modes of the vehicle:", ""]
+    lines += [f"- {autopilot.value}: {', '.join(names)}" for autopilot, names in OPEN_MODES.items()]
+    lines += ["", "## The table", "", "| our mode | vehicle's mode | event | next mode |", "|---|---|---|---|"]
+    for modes, standings, event, then in ROWS:
+        ours = ", ".join(mode.value for mode in modes)
+        where = "any" if len(standings) == len(Standing) else ", ".join(standing.value for standing in standings)
+        lines.append(f"| {ours} | {where} | {event.value} | {then.value} |")
+    lines += [
+        "",
+        "## Reasons",
+        "",
+        "Every change of mode, and every order that waits, is refused or dies, has one:",
+        "",
+    ]
+    lines += [f"- {shown(cause)}" for cause in Cause]
     return "\n".join(lines) + "\n"
+
+
+def shown(cause: Cause) -> str:
+    """A cause's sentence with its parameters as words."""
+    return re.sub(r"\{(\w+)[^}]*\}", lambda match: {"what": "*what*", "seconds": "*N*"}[match.group(1)], cause.value)
 
 
 PAGES = {"modes.md": modes_page}

@@ -13,7 +13,21 @@ import random
 import sys
 import time
 
-from follow.messages import Decision, Estimate, Landed, Mode, Order, Setpoint, VehicleState
+from follow.messages import (
+    NO_INSTRUCTION,
+    Autopilot,
+    BatteryLevel,
+    Cause,
+    Decision,
+    Estimate,
+    Instruction,
+    Landed,
+    Mode,
+    Order,
+    Reason,
+    Setpoint,
+    VehicleState,
+)
 from follow.safety.gate import Gate, Limits, decide
 
 WILD = (math.nan, math.inf, -math.inf, 1e308, -1e308, 5e-324, 0.0, -0.0, 1e9, -1e9)
@@ -52,19 +66,23 @@ def flight(rng: random.Random, rounds: int):
             down_m_s=number(rng, 2, wild),
             yaw_rate_rad_s=number(rng, 1, wild),
             in_control=control,
-            landed_t_s=t_s - age[2],
-            landed=Landed.IN_AIR,
+            autopilot=Autopilot.PX4,
+            mode="OFFBOARD" if control else rng.choice(("HOLD", "RTL", "LAND", "POSCTL")),
+            landed=Landed.IN_AIR if rng.random() < 0.999 else rng.choice(list(Landed)),
+            landed_t_s=t_s - abs(rng.gauss(0, 0.5)),
+            battery=BatteryLevel.OK if rng.random() < 0.9995 else BatteryLevel.LOW,
+            rc_healthy=rng.random() < 0.9995,
             armed=rng.random() < 0.9999,
         )
         near = abs(number(rng, 15, wild))
         estimate = Estimate(t_s, number(rng, 0.5, wild), number(rng, 0.5, wild), near, abs(number(rng, 2, wild)),
                             number(rng, 3, wild), number(rng, 3, wild), t_s - age[3])  # fmt: skip
         desired = Setpoint(*(number(rng, 10, wild) for _ in range(4)))
-        order = Order.FOLLOW if i == 0 or rng.random() < 0.01 else None
+        order = Order.FOLLOW if i == 0 or rng.random() < 0.05 else None
         yield desired, estimate, state, t_s - age[4], order
 
 
-def breach(before: Gate, gate: Gate, decision: Decision, state: VehicleState, fresh: bool) -> str | None:
+def breach(before: Gate, gate: Gate, decision: Decision, state: VehicleState, begins: bool) -> str | None:
     """The limit that the round broke, or None."""
     sent = decision.setpoint
     if sent is None:
@@ -77,7 +95,7 @@ def breach(before: Gate, gate: Gate, decision: Decision, state: VehicleState, fr
         return "climb or yaw rate"
     if not (state.armed and (state.in_control or gate.mode is Mode.ENGAGE)):
         return "sent without control"
-    if before.horizontal is gate.horizontal or fresh:
+    if begins:
         return None  # streaming has just begun: there is no previous setpoint
     dt = min(max(gate.t_s - before.t_s, 0.0), 0.1)
     if math.dist(before.horizontal.v, gate.horizontal.v) > LIMITS.accel_m_s2 * dt + SLACK:
@@ -101,12 +119,13 @@ def main() -> int:
     while done < args.rounds:
         gate = Gate()
         for desired, estimate, state, frame_t_s, order in flight(rng, 400):
+            instruction = NO_INSTRUCTION
             if order:
-                gate = Gate(**{**{n: getattr(gate, n) for n in Gate.__slots__}, "ordered": order, "ordered_t_s": None})
+                instruction = Instruction(order, Reason(Cause.FOLLOW_ORDERED, "the fuzzer"))
             before = gate
-            gate, decision = decide(gate, desired, estimate, state, frame_t_s, LIMITS)
-            start_ramps = before.mode in (Mode.OBSERVE, Mode.READY, Mode.ENDED, Mode.ENGAGE)
-            if broken := breach(before, gate, decision, state, start_ramps):
+            gate, decision = decide(gate, desired, estimate, state, frame_t_s, LIMITS, instruction)
+            begins = before.mode in (Mode.OBSERVE, Mode.READY, Mode.ENDED)
+            if broken := breach(before, gate, decision, state, begins):
                 print(f"round {done}: {broken}\n{before}\n{desired}\n{estimate}\n{state}\n{decision}", file=sys.stderr)
                 return 1
             modes[decision.mode.value] = modes.get(decision.mode.value, 0) + 1

@@ -1,0 +1,268 @@
+"""No path from a mode that is not on the list to a setpoint, none from a dead order: random flights with a referee."""
+
+from dataclasses import dataclass, field, replace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from follow.messages import (
+    HOVER,
+    NEVER,
+    Autopilot,
+    BatteryLevel,
+    Cause,
+    Estimate,
+    Instruction,
+    Landed,
+    Mode,
+    Order,
+    Reason,
+    Release,
+    VehicleState,
+)
+from follow.safety.gate import Limits, Safety
+
+LIMITS = Limits()
+LISTED = {
+    Autopilot.PX4: ("POSCTL", "ALTCTL", "HOLD", "OFFBOARD"),
+    Autopilot.ARDUPILOT: ("LOITER", "POSHOLD", "ALT_HOLD", "GUIDED"),
+}
+OTHERS = ("RTL", "LAND", "TAKEOFF", "MISSION", "BRAKE", "AUTO", "STABILIZE", "")
+CONTROL = {Autopilot.PX4: "OFFBOARD", Autopilot.ARDUPILOT: "GUIDED"}
+BY_KEY = Reason(Cause.FOLLOW_ORDERED, "key f")
+
+
+@dataclass(frozen=True)
+class Round:
+    """What happens in one round of a random flight."""
+
+    dt_s: float
+    order: Order | None
+    stick: bool
+    mode: str | None  # somebody chooses it
+    obeys: bool  # the autopilot grants our mode if we request it
+    refuses: bool
+    landed: Landed
+    landed_age_s: float
+    battery: BatteryLevel
+    rc_healthy: bool | None
+    armed: bool
+    seen: bool
+    fresh: bool
+    height_m: float
+
+
+def mostly(usual, *others):
+    """The usual value in four of five rounds: else no flight would ever get anywhere."""
+    return st.one_of(*[st.just(usual)] * 4, st.sampled_from(others))
+
+
+rounds = st.builds(
+    Round,
+    dt_s=st.sampled_from((0.03, 0.1, 0.5, 1.5, 4.0)),
+    order=st.sampled_from((Order.FOLLOW, Order.FOLLOW, None, None, Order.OBSERVE, Order.LEAVE)),
+    stick=mostly(False, True),
+    mode=mostly(None, *LISTED[Autopilot.PX4], *LISTED[Autopilot.ARDUPILOT], *OTHERS),
+    obeys=st.booleans(),
+    refuses=mostly(False, True),
+    landed=mostly(Landed.IN_AIR, *Landed),
+    landed_age_s=mostly(0.1, 2.0, 10.0, -10.0),
+    battery=mostly(BatteryLevel.OK, *BatteryLevel),
+    rc_healthy=mostly(True, False, None),
+    armed=mostly(True, False),
+    seen=mostly(True, False),
+    fresh=mostly(True, False),
+    height_m=mostly(20.0, 1.0, 5.0),
+)
+
+
+@dataclass
+class Referee:
+    """An independent account of who may fly: it knows the rules and nothing of the gate."""
+
+    autopilot: Autopilot
+    mode: str = "HOLD"
+    gate: Safety = field(default_factory=lambda: Safety(LIMITS))
+    t_s: float = 100.0
+    in_control: bool = False
+    refusal: str = ""
+    ordered_t_s: float = NEVER  # of the living order
+    had_remote: bool = False
+    streams: bool = False
+    was_in_control: bool = False
+    begun_mode: str = ""
+    begun_t_s: float = NEVER
+
+    def play(self, r: Round) -> None:
+        self.t_s += r.dt_s
+        if r.mode is not None and r.mode != self.mode:
+            self.mode, self.in_control, self.ordered_t_s = r.mode, False, NEVER
+        elif self.streams and not self.in_control and r.obeys:
+            self.mode, self.in_control = CONTROL[self.autopilot], True
+        elif self.streams and not self.in_control and r.refuses:
+            self.refusal = "DENIED"
+        self.had_remote = self.had_remote or r.rc_healthy is True
+        instruction = Instruction(r.order, BY_KEY)
+        if r.stick:
+            instruction = Instruction(Order.OBSERVE, Reason(Cause.STICK))
+        if instruction.order is Order.FOLLOW:
+            self.ordered_t_s = self.t_s
+        elif instruction.order is not None:
+            self.ordered_t_s = NEVER
+        state = self.state(r)
+        estimate = Estimate(self.t_s, 0.0, 0.4, 12.0, 0.5, seen_t_s=self.t_s if r.seen else self.t_s - 1.0)
+        frame_t_s = self.t_s if r.fresh else self.t_s - 2.0
+        decision = self.gate.allow(HOVER, estimate, state, frame_t_s, instruction)
+        self.judge(decision, state, r)
+        ends = self.streams and decision.setpoint is None
+        if ends and self.in_control:
+            self.mode, self.in_control = ("LOITER" if self.autopilot is Autopilot.ARDUPILOT else "HOLD"), False
+        if decision.setpoint is not None and not self.streams:
+            self.begun_mode, self.begun_t_s, self.refusal = state.mode, self.t_s, ""
+        self.streams = decision.setpoint is not None
+        self.was_in_control = self.streams and self.in_control
+
+    def state(self, r: Round) -> VehicleState:
+        return VehicleState(
+            t_s=self.t_s,
+            attitude_t_s=self.t_s,
+            position_t_s=self.t_s,
+            heartbeat_t_s=self.t_s,
+            down_m=-r.height_m,
+            autopilot=self.autopilot,
+            mode=self.mode,
+            in_control=self.in_control,
+            refusal=self.refusal,
+            armed=r.armed,
+            landed_t_s=self.t_s - r.landed_age_s,
+            landed=r.landed,
+            battery=r.battery,
+            rc_healthy=r.rc_healthy,
+        )
+
+    def judge(self, decision, state: VehicleState, r: Round) -> None:
+        """The laws."""
+        if decision.setpoint is None:
+            return
+        assert r.armed
+        assert not r.stick
+        if not self.streams:  # a stream begins
+            assert state.mode in LISTED[self.autopilot]
+            assert 0 <= self.t_s - self.ordered_t_s <= LIMITS.order_timeout_s
+            assert r.landed is Landed.IN_AIR
+            assert abs(r.landed_age_s) <= 3.0
+            assert r.battery not in (BatteryLevel.LOW, BatteryLevel.CRITICAL)
+            assert not (self.had_remote and r.rc_healthy is False)
+            assert r.height_m >= LIMITS.floor_m
+            assert r.seen
+            assert r.fresh
+            self.ordered_t_s = NEVER  # carried out: the same order does not begin a second stream
+        elif not self.in_control:  # it waits for the autopilot
+            assert not self.was_in_control
+            assert state.mode == self.begun_mode
+            assert not self.refusal
+            assert self.t_s - self.begun_t_s <= LIMITS.engage_timeout_s
+
+
+@pytest.mark.parametrize("autopilot", Autopilot)
+@settings(max_examples=400, deadline=None)
+@given(played=st.lists(rounds, min_size=1, max_size=60))
+def test_no_setpoint_without_a_living_order_out_of_a_listed_mode(autopilot, played):
+    referee = Referee(autopilot, LISTED[autopilot][0])
+    for r in played:
+        referee.play(r)
+
+
+def calm(**changes) -> Round:
+    usual = Round(
+        0.1, None, False, None, False, False, Landed.IN_AIR, 0.1, BatteryLevel.OK, True, True, True, True, 20.0
+    )
+    return replace(usual, **changes)
+
+
+def reason_after(*played: Round) -> tuple[Mode, Reason]:
+    referee = Referee(Autopilot.PX4)
+    for r in played:
+        referee.play(r)
+    authority = referee.gate.gate.authority
+    return authority.mode, authority.reason
+
+
+FOLLOWING = (calm(order=Order.FOLLOW), calm(obeys=True))
+
+
+def test_the_flights_of_the_property_test_do_fly():
+    assert reason_after(*FOLLOWING) == (Mode.FOLLOW, Reason(Cause.OBEYS))
+
+
+@pytest.mark.parametrize(
+    ("played", "mode", "cause"),
+    [
+        ((calm(), calm(dt_s=0.6)), Mode.READY, Cause.READY),
+        ((calm(seen=False),), Mode.OBSERVE, Cause.NOT_READY),
+        ((calm(order=Order.FOLLOW, seen=False),), Mode.OBSERVE, Cause.ORDER_WAITS),
+        ((calm(order=Order.FOLLOW, seen=False), calm(dt_s=4.0, seen=False)), Mode.OBSERVE, Cause.ORDER_VOID),
+        ((calm(order=Order.FOLLOW, seen=False), calm(mode="POSCTL")), Mode.OBSERVE, Cause.ORDER_VOID),
+        ((calm(mode="RTL"), calm(order=Order.FOLLOW)), Mode.OBSERVE, Cause.ORDER_REFUSED),
+        ((calm(order=Order.FOLLOW, landed=Landed.UNKNOWN),), Mode.OBSERVE, Cause.ORDER_REFUSED),
+        ((calm(order=Order.FOLLOW, height_m=1.0),), Mode.OBSERVE, Cause.ORDER_REFUSED),
+        ((calm(order=Order.FOLLOW, battery=BatteryLevel.LOW),), Mode.OBSERVE, Cause.ORDER_REFUSED),
+        ((calm(order=Order.FOLLOW), calm(refuses=True)), Mode.ENDED, Cause.REFUSED),
+        ((calm(order=Order.FOLLOW), *[calm(dt_s=1.5)] * 4), Mode.ENDED, Cause.IGNORED),
+        ((calm(order=Order.FOLLOW), calm(mode="POSCTL")), Mode.ENDED, Cause.MODE_LEFT),
+        ((*FOLLOWING, calm(mode="RTL")), Mode.ENDED, Cause.MODE_LEFT),
+        ((*FOLLOWING, calm(stick=True)), Mode.ENDED, Cause.STICK),
+        ((*FOLLOWING, calm(seen=False)), Mode.COAST, Cause.NOT_SEEN),
+        ((*FOLLOWING, calm(fresh=False)), Mode.BRAKE, Cause.STALE),
+        ((*FOLLOWING, calm(battery=BatteryLevel.LOW)), Mode.BRAKE, Cause.BATTERY),
+        ((*FOLLOWING, calm(battery=BatteryLevel.LOW), calm(dt_s=0.5), calm(dt_s=1.5)), Mode.ENDED, Cause.STOPPED),
+        ((*FOLLOWING, calm(rc_healthy=False)), Mode.BRAKE, Cause.REMOTE_LOST),
+        ((*FOLLOWING, calm(landed=Landed.ON_GROUND)), Mode.BRAKE, Cause.LANDED),
+        ((*FOLLOWING, calm(order=Order.LEAVE), calm()), Mode.ENDED, Cause.LEAVING),
+        ((*FOLLOWING, calm(armed=False)), Mode.ENDED, Cause.DISARMED),
+    ],
+)
+def test_every_change_has_its_reason(played, mode, cause):
+    ended_in, reason = reason_after(*played)
+    assert (ended_in, reason.cause) == (mode, cause)
+    assert "{" not in str(reason)
+
+
+def test_a_stick_asks_for_the_mode_in_which_sticks_act_and_all_else_for_hold():
+    referee = Referee(Autopilot.ARDUPILOT, "LOITER")
+    for r in FOLLOWING:
+        referee.play(r)
+    stick = Instruction(Order.OBSERVE, Reason(Cause.STICK))
+    estimate = Estimate(referee.t_s, 0.0, 0.4, 12.0, 0.5, seen_t_s=referee.t_s)
+    state = referee.state(calm())
+    gate = replace(referee.gate.gate)
+    assert referee.gate.allow(HOVER, estimate, state, referee.t_s, stick).release is Release.STICKS
+    key = Instruction(Order.OBSERVE, Reason(Cause.OBSERVE_ORDERED, "key o"))
+    assert Safety(LIMITS, gate).allow(HOVER, estimate, state, referee.t_s, key).release is Release.HOLD
+
+
+def test_a_battery_that_recovers_under_less_load_does_not_resume_the_flight():
+    assert reason_after(*FOLLOWING, calm(battery=BatteryLevel.LOW), *[calm()] * 15)[0] is not Mode.FOLLOW
+
+
+def test_hovering_after_a_search_ends():
+    lost = [calm(dt_s=1.5, seen=False)] * 40
+    referee = Referee(Autopilot.PX4)
+    for r in FOLLOWING:
+        referee.play(r)
+    seen_t_s = referee.t_s
+    modes = []
+    for _ in lost:
+        referee.t_s += 1.0
+        state = referee.state(calm())
+        estimate = Estimate(referee.t_s, 0.0, 0.4, 12.0, 0.5, seen_t_s=seen_t_s)
+        modes.append(referee.gate.allow(HOVER, estimate, state, referee.t_s).mode)
+        if modes[-1] is Mode.ENDED:
+            break
+    else:
+        for _ in range(60):
+            referee.t_s += 1.0
+            estimate = Estimate(referee.t_s, 0.0, 0.4, 12.0, 0.5, seen_t_s=seen_t_s)
+            modes.append(referee.gate.allow(HOVER, estimate, referee.state(calm()), referee.t_s).mode)
+    assert list(dict.fromkeys(modes)) == [Mode.COAST, Mode.SEARCH, Mode.HOLD, Mode.ENDED]
