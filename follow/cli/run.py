@@ -1,10 +1,13 @@
 """`follow run`: a real camera or a drawn scene, and a vehicle behind a MAVLink connection."""
 
+import contextlib
 import logging
+import math
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from follow.camera import Camera
 from follow.camera.realtime import RealTime
@@ -14,13 +17,14 @@ from follow.cli.layers import SCENE
 from follow.cli.settings import as_toml
 from follow.cli.sim import scene_camera
 from follow.config import CameraConfig, Config, resolve
-from follow.control.servo import Servo
+from follow.control.acquire import Acquire
+from follow.control.servo import STEEPEST_RAD, Servo, ServoMode
 from follow.control.target import Target
 from follow.flight.live_flight import LogForwarder, Parts, fly, preflight, unwaived
 from follow.flight.session import acquire, conclude
 from follow.geometry import Intrinsics
 from follow.link import Link
-from follow.link.connection import connect
+from follow.link.connection import MavlinkLink, connect
 from follow.link.signing import Signing
 from follow.link.tlog import Tlog
 from follow.messages import Autopilot, Notify, Tick
@@ -35,7 +39,7 @@ from racf.tracker import warm_up
 from sim.scenarios import SCENARIOS, build_live
 
 VEHICLE_S = 30.0  # an autopilot boots in less
-LONG_S = 1800.0  # a scene's target has as long a way where no end is given: a battery's time
+LONG_S = 1800.0  # length of a scene's path if no end is given: a battery's time
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,52 +97,125 @@ def check(command: RunCommand) -> None:
     name = command.camera.removeprefix(SCENE)
     if name != command.camera and name not in SCENARIOS:
         raise UsageError(f"there is no scene {name!r}; there are {', '.join(SCENARIOS)}")
+    if name == command.camera or command.config.camera.down_deg is not None:  # else the angle depends on the autopilot
+        height_line(command.config)
 
 
 def fly_live(command: RunCommand) -> None:
     """`follow run`."""
     check(command)
     terminal = Terminal()
+    early: list[str] = []  # what is said before there is a recording
+    terminal.listeners.append(early.append)
     # Until there is a flight to order, the signal must not do what it does by default: kill.
     signal.signal(signal.SIGUSR1, lambda _number, _frame: terminal.report("not ready yet: SIGUSR1 orders nothing"))
-    spoken = LogForwarder(terminal.report)
+    forwarder = LogForwarder(terminal.report)
     log = logging.getLogger("follow")
-    log.addHandler(spoken)
+    log.addHandler(forwarder)
     log.setLevel(logging.INFO)
     terminal.report(f"tracker warm after {warm_up():.1f} s")
-    about = f"# follow run {command.link} {command.camera}\n\ntracker {command.tracker}"
-    if moved := set_aside(command.out):
-        terminal.report(f"the flight that was in {command.out} is now in {moved}")
-    with Recorder(
-        command.out, command.config.record, terminal.report, waits=False, about=about, clock=time.time
-    ) as recorder:
-        terminal.listeners.append(recorder.message)
+    with contextlib.ExitStack() as recording:  # outlives the link, which says how it left the vehicle
         signing = Signing(command.signing_key) if command.signing_key else None
-        tlog = Tlog(command.out / "flight.tlog")
-        with connect(command.link, command.system_id, signing=signing, tlog=tlog) as link:
-            link.wait_for_vehicle(VEHICLE_S)
-            findings = preflight(link, command.out, signs=signing is not None)
-            red = unwaived(findings, command.waive, terminal.report)
-            seen = open_camera(command, link, terminal.report)
-            recorder.settings(as_toml(seen.config))
-            heard = link.client.heard
-            operator = Operator(terminal.report, command.follow, command.rc_channel, heard, red)
-            tracker = acquire(command.tracker, seen.target)
-            target = Target(seen.lens, seen.down_rad, seen.config.target)
-            if command.aim:
-                operator.aim = lambda: (tracker.restart(), target.forget())
-            with seen.camera as camera:
-                parts = Parts(
-                    camera,
-                    link,
-                    tracker,
-                    target,
-                    Servo(seen.down_rad, seen.config.servo),
-                    Safety(seen.config.limits),
-                )
-                fly(parts, operator, lambda tick: recorder.tick(tick, seen.truth(tick)), command.seconds)
+        starting = recording.enter_context(starting_log(command.out))
+        with connect(command.link, command.system_id, signing=signing, tlog=Tlog(starting)) as link:
+            flight = prepare(command, link, signs=signing is not None, report=terminal.report)
+            recorder = recording.enter_context(begin_recording(command, starting, terminal, early))
+            recorder.settings(as_toml(flight.seen.config))
+            fly_prepared(command, flight, link, recorder, terminal.report)
             autopilot = link.state().autopilot
         figures: Figures = {"tracker": command.tracker, "autopilot": autopilot.value if autopilot else ""}
         figures = recorder.close(figures)
-    log.removeHandler(spoken)
+    log.removeHandler(forwarder)
     conclude(figures, command.out, terminal, as_json=command.json, finished=True)
+
+
+@dataclass(frozen=True, slots=True)
+class PreparedFlight:
+    """A camera that is open, a tracker that is warm, and why FOLLOW would be refused (`red`)."""
+
+    seen: OpenCamera
+    tracker: Acquire
+    red: tuple[str, ...]
+
+
+def prepare(command: RunCommand, link: MavlinkLink, *, signs: bool, report: Notify) -> PreparedFlight:
+    """Everything that may refuse a flight: vehicle, checks, camera, stand-off, tracker."""
+    report(f"waiting up to {VEHICLE_S:g} s for a vehicle on {command.link}")
+    link.wait_for_vehicle(VEHICLE_S, report)
+    report("vehicle found: measuring its message rates and reading its parameters, some 10 s")
+    red = unwaived(preflight(link, command.out, signs=signs), command.waive, report)
+    seen = open_camera(command, link, report)
+    tracker = acquire(command.tracker, seen.target)
+    if line := height_line(seen.config):
+        report(line)
+    if red:
+        report(f"FOLLOW will be refused: {'; '.join(red)}; fix it, or --waive NAME")
+    return PreparedFlight(seen, tracker, red)
+
+
+@contextlib.contextmanager
+def starting_log(out: Path) -> Generator[Path, None, None]:
+    """The file for packets until the flight starts, beside the last flight's; removed if no flight starts.
+
+    Raises OSError for a folder that cannot be written.
+    """
+    path = out / "starting.tlog"
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OSError(f"--out {str(out)!r} must be a folder that can be written: {error.strerror}") from None
+    try:
+        yield path
+    finally:
+        path.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def begin_recording(
+    command: RunCommand, starting: Path, terminal: Terminal, early: Sequence[str]
+) -> Generator[Recorder, None, None]:
+    """The recording of a flight that starts now: the last one is moved aside, and what was said is in it."""
+    if moved := set_aside(command.out):
+        terminal.report(f"the flight that was in {command.out} is now in {moved}")
+    starting.rename(command.out / "flight.tlog")
+    about = f"# follow run {command.link} {command.camera}\n\ntracker {command.tracker}"
+    record = command.config.record
+    with Recorder(command.out, record, terminal.report, waits=False, about=about, clock=time.time) as recorder:
+        for line in early:
+            recorder.message(line)
+        terminal.listeners[:] = [recorder.message]
+        yield recorder
+
+
+def fly_prepared(
+    command: RunCommand, flight: PreparedFlight, link: MavlinkLink, recorder: Recorder, report: Notify
+) -> None:
+    """Build the parts and fly until the end."""
+    seen, tracker = flight.seen, flight.tracker
+    operator = Operator(report, command.follow, command.rc_channel, link.client.heard, flight.red)
+    target = Target(seen.lens, seen.down_rad, seen.config.target)
+    if command.aim:
+        operator.aim = lambda: (tracker.restart(), target.forget())
+    servo, safety = Servo(seen.down_rad, seen.config.servo), Safety(seen.config.limits)
+    with seen.camera as camera:
+        parts = Parts(camera, link, tracker, target, servo, safety)
+        fly(parts, operator, lambda tick: recorder.tick(tick, seen.truth(tick)), command.seconds)
+
+
+def height_line(config: Config) -> str:
+    """How high the vehicle will fly above the target, and why; "" in a mode that keeps the height it has.
+
+    The target is in the middle row where height = stand-off x tan(angle below the nose).  Raises UsageError where that
+    lies outside the altitude band: the servo would fly against the gate for the whole flight.
+    """
+    if config.servo.mode not in (ServoMode.CHASE, ServoMode.ORBIT, ServoMode.PROFILE):
+        return ""
+    standoff_m, down_rad, limits = config.servo.standoff_m, config.camera.down_rad, config.limits
+    height_m = standoff_m * math.tan(min(max(down_rad, 0.0), STEEPEST_RAD))
+    why = f"{standoff_m:g} m away with the camera {math.degrees(down_rad):.0f} degrees below the nose"
+    if not limits.floor_m <= height_m <= limits.ceiling_m:
+        raise UsageError(
+            f"{why} means {height_m:.1f} m above the target, outside limits.floor_m {limits.floor_m:g} to "
+            f"limits.ceiling_m {limits.ceiling_m:g}: change servo.standoff_m or camera.down_deg"
+        )
+    return f"will fly about {height_m:.0f} m above the target: {why}"

@@ -19,11 +19,12 @@ from follow.link.packets import Message
 from follow.link.signing import Signing
 from follow.link.tlog import Tlog
 from follow.link.transports import Reach, Transport, open_transport
-from follow.messages import NEVER, Setpoint, VehicleState
+from follow.messages import NEVER, Notify, Setpoint, VehicleState
 
 log = logging.getLogger(__name__)
 
 READ_S = 0.05  # the reading thread checks this often whether it should end
+WAITING_EVERY_S = 5.0  # between two lines about what is still missing
 HOLD_S = 2.0  # PX4 shows a new mode up to 1 s late; twice that
 UNSENT_EVERY_S = 10.0  # dropped packets are reported at most this often
 
@@ -109,9 +110,13 @@ class MavlinkLink:
         self._flush()
         return messages
 
-    def wait_for_vehicle(self, timeout_s: float) -> None:
-        """Wait until heartbeat, attitude and position are known; raises LinkError naming what is missing."""
-        end_s = time.monotonic() + timeout_s
+    def wait_for_vehicle(self, timeout_s: float, report: Notify = log.info) -> None:
+        """Wait until heartbeat, attitude and position are known; raises LinkError naming what is missing.
+
+        `report` is told what is missing every WAITING_EVERY_S.
+        """
+        began_s = time.monotonic()
+        said_s, end_s = began_s, began_s + timeout_s
         while True:
             state = self.state()
             known = {
@@ -124,6 +129,9 @@ class MavlinkLink:
                 return
             if time.monotonic() > end_s:
                 raise LinkError(f"no {' and no '.join(missing)} came within {timeout_s:g} s")
+            if time.monotonic() > said_s + WAITING_EVERY_S:
+                said_s = time.monotonic()
+                report(f"waiting: no {' and no '.join(missing)} yet, {said_s - began_s:.0f} of {timeout_s:g} s")
             time.sleep(0.01)
 
     def listen(self, seconds: float) -> None:

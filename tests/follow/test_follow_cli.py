@@ -12,9 +12,14 @@ import cv2
 import pytest
 
 from follow.cli import replay as cli_replay
+from follow.cli import run as cli_run
 from follow.cli.program import main
 from follow.cli.settings import read_settings
+from follow.config import CameraConfig, Config
+from follow.control.servo import ServoConfig, ServoMode
+from follow.link import connection
 from follow.operator.terminal import result
+from follow.recording.recorder import FILES
 from follow.safety.limits import Limits
 from sim.clip import clip, write
 from sim.scenarios import SCENARIOS
@@ -265,3 +270,40 @@ def test_a_terminal_that_was_closed_is_no_failure(monkeypatch):
         monkeypatch.setattr("sys.stdout", closed)
         for as_json in (False, True):
             result({"frames": 3}, as_json=as_json)
+
+
+def test_a_refused_start_leaves_the_last_flight_where_it_is_and_says_what_it_waits_for(capfd, tmp_path, monkeypatch):
+    monkeypatch.setattr(cli_run, "VEHICLE_S", 0.3)
+    monkeypatch.setattr(connection, "WAITING_EVERY_S", 0.1)
+    left = {name: f"the last flight's {name}" for name in FILES}
+    for name, text in left.items():
+        (tmp_path / name).write_text(text)
+    words = ("run", "--link", "udpin:127.0.0.1:0", "--camera", "scene:walker", "--out", tmp_path)
+    status, _, err = follow(capfd, *words)
+    assert status == 1
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == left
+    assert "waiting up to 0.3 s for a vehicle on udpin:127.0.0.1:0" in err
+    assert "waiting: no heartbeat of a PX4 or ArduPilot multirotor and no attitude and no local position yet" in err
+    assert err.splitlines()[-1].startswith("follow: error: no heartbeat")
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        (("--camera.down-deg", "5"), "means 1.0 m above the target, outside limits.floor_m 2 to limits.ceiling_m 100"),
+        (("--camera.down-deg", "75", "--servo.standoff-m", "40"), "means 149.3 m above the target"),
+    ],
+)
+def test_a_stand_off_that_contradicts_the_altitude_band_is_refused_before_anything_is_opened(capfd, more, said):
+    status, _, err = follow(capfd, "run", "--link", "udpin:127.0.0.1:0", "--target", "1,2,3,4", *more)
+    assert status == 2
+    assert said in err
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize(("down_deg", "standoff_m", "height_m"), [(30.0, 12.0, 7), (45.0, 20.0, 20), (27.0, 22.0, 11)])
+def test_the_height_that_follows_from_stand_off_and_angle_is_said(down_deg, standoff_m, height_m):
+    config = Config(CameraConfig(down_deg=down_deg), servo=ServoConfig(standoff_m=standoff_m))
+    why = f"{standoff_m:g} m away with the camera {down_deg:.0f} degrees below the nose"
+    assert cli_run.height_line(config) == f"will fly about {height_m} m above the target: {why}"
+    assert cli_run.height_line(replace(config, servo=ServoConfig(mode=ServoMode.CENTRE))) == ""
