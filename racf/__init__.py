@@ -43,7 +43,7 @@ _HOME = {
 def __getattr__(name: str) -> Any:
     if name not in __all__:
         raise AttributeError(f"module 'racf' has no attribute {name!r}")
-    import importlib  # noqa: PLC0415 - only when a name is asked for
+    import importlib  # noqa: PLC0415 - only when a name is used
 
     if name not in _HOME:
         return importlib.import_module(f"racf.{name}")

@@ -10,7 +10,7 @@ from typing_extensions import Self
 class Box:
     """An axis-aligned rectangle in 0-based pixels; the centre is at `x + w/2, y + h/2`.
 
-    Any kind of number becomes a float.  Raises ValueError when one is none or not finite, or a side is not positive.
+    Any kind of number becomes a float.  Raises ValueError if one is not a finite number, or a side is not positive.
     """
 
     x: float

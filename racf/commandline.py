@@ -1,4 +1,4 @@
-"""What every program of this project has in common on the command line: one-line errors and exit statuses.
+"""The command line of every program of this project: one-line errors and exit statuses.
 
 Exit status: 0 done, 1 the run failed, 2 wrong use.  An error is one line on standard error.
 """
@@ -48,8 +48,8 @@ def run(
 def guarded(work: Callable[[], None], *, prog: str, failures: tuple[type[Exception], ...] = ()) -> int:
     """Do the work of a program and return its exit status, with its error on one line.
 
-    UsageError ends in 2; OSError, ValueError and the `failures` that a program's own parts raise end in 1.  Anything
-    else is a defect of ours and keeps its traceback.
+    UsageError gives 2; OSError, ValueError and the `failures` that a program's own parts raise give 1.  Anything else
+    is a bug and keeps its traceback.
     """
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # a service manager's stop ends as cleanly as Ctrl-C
     one_core()
@@ -60,7 +60,7 @@ def guarded(work: Callable[[], None], *, prog: str, failures: tuple[type[Excepti
     except KeyboardInterrupt:
         return _complain(prog, "interrupted", 1)
     except BrokenPipeError:
-        return 1  # the reader of our output went away: nobody is left to tell
+        return 1  # the reader of our output closed it: nobody reads a message
     except (OSError, ValueError, *failures) as error:
         return _complain(prog, error, 1)
     return 0
@@ -69,7 +69,7 @@ def guarded(work: Callable[[], None], *, prog: str, failures: tuple[type[Excepti
 def parse(
     commands: Any, argv: Sequence[str] | None, *, prog: str, description: str, config: Sequence[Any] = ()
 ) -> object:
-    """The command that `argv` spells; raises UsageError where it spells none, SystemExit(0) after `--help`."""
+    """The command in `argv`; raises UsageError if it cannot be parsed, SystemExit(0) after `--help`."""
     complaint = io.StringIO()
     try:
         with contextlib.redirect_stderr(complaint):

@@ -1,7 +1,7 @@
-"""Whether a response can be believed, against what this target's responses have been like.
+"""Whether a response can be trusted, compared with this target's usual responses.
 
-PSR depends on the target and its surroundings (5 for a dozen pixels, 15 for a striking cyclist), so a fixed threshold
-cannot serve; the ratio to its own running mean can.  The same holds for the response's peak over the model's own.
+PSR depends on the target and its surroundings (5 for a dozen pixels, 15 for a striking cyclist), so no fixed threshold
+works; the ratio to its own running mean does.  The same holds for the response's peak over the model's own.
 """
 
 import math
@@ -34,11 +34,11 @@ class Confidence:
         return min(math.sqrt(max(psr / self._psr, 0.0) * max(value / self._value, 0.0)), 1.0)
 
     def judge(self, psr: float, value: float) -> Verdict:
-        """The verdict on a frame.  Once lost, only a response as clear as `regain_above` finds again.
+        """The verdict on a frame.  A lost target is found again by a response of at least `regain_above`.
 
-        Clear frames make the running means.  Others count too, though slowly: a target that stays changed becomes
-        normal in the end.  The first `settle_frames` are clear whatever they are: the very first response, of a filter
-        that has seen one picture to a second that is all but the same, can be far sharper than any later one.
+        Clear frames make the running means.  Others also count, but slowly: a target that stays changed becomes normal
+        in the end.  The first `settle_frames` always count as clear: the very first response, of a filter that has seen
+        one image to a nearly identical second one, can be far sharper than any later one.
         """
         params, ratio = self.params, self.ratio(psr, value)
         self._frames += 1

@@ -1,4 +1,4 @@
-"""The feature stack of a sample: FHOG (31), colour names (10, colour pictures only), grey (1), under a Hann window."""
+"""The feature stack of a sample: FHOG (31), colour names (10, colour images only), grey (1), under a Hann window."""
 
 import numba
 import numpy as np

@@ -19,7 +19,7 @@ Int32 = NDArray[np.int32]
 ORIENTATIONS = 9
 CHANNELS = 3 * ORIENTATIONS + 4
 CLIP = 0.2
-EPSILON = 2.5e-5  # added to block energies (gradients of a 0..1 picture, summed over cells)
+EPSILON = 2.5e-5  # added to block energies (gradients of a 0..1 image, summed over cells)
 TEXTURE_GAIN = 0.2357  # 1/sqrt(18): each texture channel is a projection, as in Felzenszwalb's Eq. 7
 
 

@@ -1,4 +1,4 @@
-"""Says when numba compiles this package's kernels: once for a machine and a version, later its cache has them."""
+"""Announces when numba compiles this package's kernels: once for a machine and a version, then its cache has them."""
 
 import logging
 from typing import Any
@@ -15,13 +15,13 @@ class Announcer(event.Listener):
         self.said = False
 
     def on_start(self, event: Any) -> None:
-        """A compilation begins; loading from the cache is none."""
+        """A compilation begins (loading from the cache does not count)."""
         if not self.said and event.data["dispatcher"].py_func.__module__.startswith("racf."):
             self.said = True
             LOG.warning("compiling the tracker's kernels, once for this machine: this may take half a minute")
 
     def on_end(self, event: Any) -> None:
-        """Of no interest."""
+        """Nothing to do."""
 
 
 def announce() -> None:

@@ -16,7 +16,7 @@ class Velocity:
         self.dy += self.rate * (after.centre_y - before.centre_y - self.dy)
 
     def unseen(self) -> None:
-        """A frame without the target: the believed motion fades."""
+        """A frame without the target: the assumed motion fades."""
         self.dx, self.dy = self.dx * self.decay, self.dy * self.decay
 
     def forget(self) -> None:

@@ -10,22 +10,22 @@ JobT = TypeVar("JobT")
 AnswerT = TypeVar("AnswerT")
 
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
-"""Read by the numeric libraries when a process starts: several that each use every processor only wait for another."""
+"""Read by the numeric libraries when a process starts: processes that each use every core slow one another down."""
 
 
 def each(
     work: Callable[[JobT], AnswerT], jobs: Sequence[JobT], processes: int | None = None
 ) -> Iterator[tuple[JobT, AnswerT]]:
-    """Each job with its answer, as they come; one process to a processor unless told.
+    """Each job with its answer, in the order they finish; by default one process for each core.
 
-    The first error drops the jobs that have not begun.  An interruption, or a caller who asks for no more, also ends
+    The first error cancels the jobs that have not begun.  An interruption, or a caller who stops iterating, also ends
     those that have.
     """
     if not jobs:
         return
     os.environ.update(ONE_THREAD)
     others = active_children()
-    # Spawned, not forked: a fork would copy the progress bar's thread and OpenCV's locks in whatever state.
+    # Spawned, not forked: a fork would copy the progress bar's thread and OpenCV's locks in an unknown state.
     with ProcessPoolExecutor(processes and min(processes, len(jobs)), mp_context=get_context("spawn")) as pool:
         waiting = {pool.submit(work, job): job for job in jobs}
         try:

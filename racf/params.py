@@ -83,7 +83,7 @@ class Params:
     # the wall is taken for the target [measured, sim wall].
     confidence_rate: float = 0.01  # of the running means, in clear frames
     confidence_rate_doubtful: float = 0.002  # of the running means, in other frames: a memory of five hundred
-    settle_frames: int = 5  # frames after the start in which every response is believed: no usual value is known yet
+    settle_frames: int = 5  # frames after the start in which every response is trusted: no usual value is known yet
     strict_iou: float = 0.8  # strict_refine: least overlap [measured]
     velocity_rate: float = 0.35  # predict_motion: rate of the running mean of the motion [measured]
     velocity_decay: float = 0.95  # predict_motion: factor on the motion in each frame without the target

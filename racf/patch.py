@@ -16,8 +16,8 @@ def shrunk(image: UInt8, region: tuple[float, float, float, float], factor: int)
     """The part of `image` under `region` (x, y, w, h), averaged over `factor` x `factor` blocks, as (H, W, C).
 
     Returns the part and where its top-left corner lies, in the frame's pixels.  Averaging first is what keeps fine
-    texture from aliasing when a large target is resampled; with factor 1 the frame itself is returned.  The part cannot
-    be written to, whether the frame can or not: numba would compile every kernel once for each.
+    texture from aliasing when a large target is resampled; with factor 1 the image itself is returned.  The part is
+    read-only even if the image is not: numba would compile every kernel once for each kind.
     """
     layered = image if image.ndim == 3 else image[..., None]
     if factor <= 1:

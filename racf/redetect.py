@@ -1,4 +1,4 @@
-"""Looking for a lost target further afield, a few places a frame, and making sure that it is the target."""
+"""Search for a lost target further afield, a few places in each frame, with a second look at each candidate."""
 
 import math
 
@@ -14,7 +14,7 @@ UInt8 = NDArray[np.uint8]
 
 
 class Redetection:
-    """Places around the expected one, farther off the longer it is lost; each frame looks at the next few of them."""
+    """Places around the expected one, further away the longer the target is lost; each frame looks at the next few."""
 
     def __init__(self, params: Params) -> None:
         self.params = params
@@ -26,14 +26,14 @@ class Redetection:
     def search(
         self, image: UInt8, expected: Box, here: Match, translation: TranslationFilter, confidence: Confidence
     ) -> tuple[Match, Verdict]:
-        """The first believable match among this frame's places, else `here`."""
+        """The first trusted match among this frame's places, or `here` if no place has one."""
         if confidence.lost_frames <= 1:
             self._next = 0
         rows, cols = image.shape[:2]
         step = translation.region(expected).w / 2
         if (again := self.closer(image, here, translation, confidence)) is not None:
             return again, Verdict.CLEAR
-        # A target just lost is near, most likely behind something: what is found far off so early is another.
+        # A target just lost is near, most likely behind something: a match far away this early is another object.
         reach = confidence.lost_frames / self.params.redetect_patience
         reached = [step for step in self._places if math.hypot(*step) <= reach]
         for _ in range(min(self.params.redetect_places, len(reached))):

@@ -1,6 +1,6 @@
 """Refining a box with GrabCut (section 4.2), for any tracker: `Refiner.refine` or the wrapper `Refined`.
 
-The picture around the box, 1.5 times its size, is resampled to a small fixed square; GrabCut separates what lies in the
+The image around the box, 1.5 times its size, is resampled to a small fixed square; GrabCut separates what lies in the
 slightly enlarged box from the rest; the smallest box around the largest segment is the second opinion on the size.
 The printed rule (keep the tracker's size if both agree) cannot be meant; as in the paper's prose, the segment's box
 counts only if it overlaps the tracker's by more than a threshold.
@@ -21,7 +21,7 @@ from racf.patch import resample
 UInt8 = NDArray[np.uint8]
 Float64 = NDArray[np.float64]
 
-CONTEXT = 1.5  # side of the picture that GrabCut sees over the box's [Paper]
+CONTEXT = 1.5  # side of the image that GrabCut sees over the box's [Paper]
 MAX_MARGIN = 0.4  # Delta s over the box's side: the paper asks for less than half
 
 
@@ -39,12 +39,11 @@ class Refiner:
     """GrabCut around a box, with the parameters `refine_*`; one for each target, since it remembers its colours.
 
     Learning GrabCut's two colour models takes four times as long as cutting with known ones, and the colours of target
-    and surroundings hardly change from frame to frame: the models are renewed every `refine_renew` frames.  Where
-    segments keep being rejected, trying pays less and less: after k rejections k frames are skipped, at most
-    `refine_pause`.
+    and surroundings hardly change from frame to frame: the models are renewed every `refine_renew` frames.  While
+    segments keep being rejected, trying is wasted: after k rejections k frames are skipped, at most `refine_pause`.
 
-    As a side effect, learning the models seeds OpenCV's random generator anew (`cv2.setRNGSeed(0)`), so that equal
-    pictures give equal masks.
+    As a side effect, learning the models seeds OpenCV's random generator (`cv2.setRNGSeed(0)`), so that equal
+    images give equal masks.
     """
 
     def __init__(self, params: Params) -> None:
@@ -54,7 +53,7 @@ class Refiner:
         self._age = self._rejected = self._waiting = 0
 
     def refine(self, image: UInt8, box: Box) -> Refinement | None:
-        """A second opinion on `box`; None where it was not worth asking."""
+        """A second opinion on `box`; None if the target is too small or segments were just rejected."""
         params = self.params
         if math.sqrt(box.area) < params.refine_min_target_px:
             return None
@@ -98,7 +97,7 @@ class Refiner:
             labels[y : y + h, x : x + w] = cv2.GC_PR_FGD
             cv2.grabCut(patch, labels, inner, *self._models, 1, cv2.GC_EVAL_FREEZE_MODEL)
         else:
-            # OpenCV seeds the colour models from its global generator: the same pictures must give the same masks.
+            # OpenCV seeds the colour models from its global generator: the same images must give the same masks.
             cv2.setRNGSeed(0)
             self._models, self._age = (np.zeros((1, 65)), np.zeros((1, 65))), 1
             cv2.grabCut(patch, labels, inner, *self._models, params.refine_iterations, cv2.GC_INIT_WITH_RECT)

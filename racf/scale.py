@@ -31,7 +31,7 @@ class ScaleFilter:
 
     def __init__(self, params: Params, base_w: float, base_h: float) -> None:
         self.params, cell = params, params.cell_px
-        # In the pixels of the fixed-size sample, as in ARCF: a target of ten pixels is enlarged, too, before it is
+        # In the pixels of the fixed-size sample, as in ARCF: a target of ten pixels is also enlarged before it is
         # described, or it would be left with a cell or two.
         side = math.sqrt(base_w * base_h) * params.search_area
         zoom = min(max(side, params.sample_min_px), params.sample_max_px) / side
@@ -78,7 +78,7 @@ class ScaleFilter:
 
     def learn(self, image: UInt8, box: Box) -> None:
         """Take the target at this place and size into the running means."""
-        # Where the estimate left the box as it was, its sample of this same picture is at hand.
+        # If the estimate did not change the box, its sample of this image can be reused.
         at_hand, self._at_hand = self._at_hand, None
         sample_f = at_hand[1] if at_hand is not None and at_hand[0] == box else self.sample(image, box)
         num = self._label_f * sample_f.conj()

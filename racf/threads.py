@@ -1,4 +1,4 @@
-"""One core for the tracker: its matrix products are small, and a library's own threads cost more than they bring."""
+"""One core for the tracker: its matrix products are small, and a library's threads cost more time than they save."""
 
 import os
 from typing import Any
@@ -12,9 +12,9 @@ _held: list[Any] = []  # a limit lasts as long as its object
 def one_core() -> None:
     """Keep BLAS and OpenCV to the calling thread for the rest of the process.
 
-    A program's own decision, so no import does it.  Measured on two loaded cores: 57 ms a frame instead of 250.
+    A program decides this, so no import does it.  Measured on two loaded cores: 57 ms a frame instead of 250.
     """
     if not _held:
-        os.environ["OPENBLAS_NUM_THREADS"] = "1"  # for the libraries and processes still to come
+        os.environ["OPENBLAS_NUM_THREADS"] = "1"  # for libraries and processes that start later
         _held.append(threadpool_limits(1, user_api="blas"))
     cv2.setNumThreads(1)

@@ -1,4 +1,4 @@
-"""What a tracker says of one frame."""
+"""A tracker's answer to one frame."""
 
 from dataclasses import dataclass, field
 
@@ -12,14 +12,14 @@ from racf.box import Box
 class Track:
     """One frame's answer.
 
-    `box` is where the target is believed to be, `search` the region that was looked at (both in the frame's
-    pixels).  `psr` (peak to sidelobe ratio) and `apce` (average peak-to-correlation energy) say how sharp the
-    response is; `confidence` in 0..1 says how far it can be believed, and `found` is the tracker's own verdict.
-    `refined` tells whether the segmentation's box was accepted.  `response` (rows, columns, float32, peak of a
-    perfect match 1) has in its middle the place where the target was expected (the last box, the prior or what its
-    motion predicts), or the candidate's where a lost target was looked for further afield.  It and `mask` (GrabCut's
-    foreground, uint8 0/1, covering `mask_box`) are there for the eye; they are None when not computed.  `stage_ms`
-    holds the time of each stage by name.
+    box: the target's box; search: the region that was searched; both in the image's pixels.
+    psr (peak to sidelobe ratio), apce (average peak-to-correlation energy): how sharp the response is.
+    confidence: how far to trust the response, 0..1; found: the tracker's own verdict, False while the target is lost.
+    refined: whether the box of the segmentation was accepted.
+    response: (rows, columns) float32, 1 for a perfect match; its middle is where the target was expected (the last box,
+        the prior or the predicted place), or the candidate's place if a lost target was searched for further away.
+    mask: GrabCut's foreground, uint8 0/1, covering `mask_box`.  Response and mask are for display, or None.
+    stage_ms: milliseconds of each stage by name.
     """
 
     box: Box

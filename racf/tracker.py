@@ -43,12 +43,12 @@ class Racf:
         self._frame_shape: tuple[int, ...] | None = None
 
     def init(self, image: UInt8, box: Box) -> Track:
-        """Start on the target in `box`; raises ValueError if picture or box are not fit to start on."""
-        image = _picture(image)
+        """Start on the target in `box`; raises ValueError for an invalid image or a box outside it."""
+        image = _checked(image)
         _check_box(box, "target")
         rows, cols = image.shape[:2]
         if box.intersection(Box(0, 0, cols, rows)) <= 0:
-            raise ValueError(f"target {box} lies outside the {cols}x{rows} picture")
+            raise ValueError(f"target {box} lies outside the {cols}x{rows} image")
         if min(box.w, box.h) < MIN_SIDE_PX:
             raise ValueError(f"a target needs sides of at least {MIN_SIDE_PX:g} pixels, not {box}")
         params = self.params
@@ -65,11 +65,11 @@ class Racf:
         return Track(box, self._filter.region(box), psr=0.0, apce=0.0, confidence=1.0)
 
     def update(self, image: UInt8, prior: Box | None = None) -> Track:
-        """Find the target in the next picture; `prior`: where the caller expects it, if it knows better.
+        """Find the target in the next image; `prior`: where the caller expects it, if it knows.
 
-        Raises ValueError if the picture is not like the first one, or before any target was given.
+        Raises ValueError if the image differs from the first one in shape or type, or before `init`.
         """
-        image = self._next_picture(image)
+        image = self._next_image(image)
         if prior is not None:
             _check_box(prior, "prior")
         params, clock, before = self.params, _Stopwatch(), self._box
@@ -82,7 +82,7 @@ class Racf:
             match, verdict = self._redetection.search(image, expected, match, self._filter, self._confidence)
             clock.lap("redetect")
             if verdict is not Verdict.LOST:
-                self._velocity.forget()  # the way here was a jump, not a motion
+                self._velocity.forget()  # the target jumped here; that is not a velocity
                 before = expected = match.box
         if params.coast and verdict is Verdict.LOST:
             self._box = self._kept_inside(expected)
@@ -120,16 +120,16 @@ class Racf:
             stage_ms=clock.laps,
         )
 
-    def _next_picture(self, image: UInt8) -> UInt8:
+    def _next_image(self, image: UInt8) -> UInt8:
         if self._frame_shape is None:
             raise ValueError("the tracker must be given a target with init before update")
-        image = _picture(image)
+        image = _checked(image)
         if image.shape != self._frame_shape:
-            raise ValueError(f"pictures must keep the first one's shape {self._frame_shape}, not {image.shape}")
+            raise ValueError(f"images must keep the first one's shape {self._frame_shape}, not {image.shape}")
         return image
 
     def _expected(self, prior: Box | None) -> Box:
-        """The last box where it should be by now: at the caller's prior, or moved as camera and target moved."""
+        """Where to search: at the caller's prior, or at the last box moved by the target's velocity."""
         if prior is not None:
             # While the target is seen, the scale filter knows its size better than any caller.
             size = prior if self._confidence.lost_frames else self._box
@@ -139,7 +139,7 @@ class Racf:
         return self._box.moved(self._velocity.dx, self._velocity.dy)
 
     def _kept_inside(self, box: Box) -> Box:
-        """The box with its centre kept in the picture and its sides between 2 px and the picture's."""
+        """The box with its centre kept in the image and its sides between 2 px and the image's."""
         assert self._frame_shape is not None
         rows, cols = self._frame_shape[:2]
         w, h = min(max(box.w, MIN_SIDE_PX), cols), min(max(box.h, MIN_SIDE_PX), rows)
@@ -174,19 +174,19 @@ class _Stopwatch:
 
 
 def check_image(image: object) -> None:
-    """Raise ValueError unless this is a non-empty uint8 picture, grey or BGR."""
+    """Raise ValueError unless this is a non-empty uint8 image, grey or BGR."""
     if not isinstance(image, np.ndarray):
-        raise ValueError(f"a picture is a numpy array, not {type(image).__name__}")
+        raise ValueError(f"an image is a numpy array, not {type(image).__name__}")
     if image.dtype != np.uint8:
-        raise ValueError(f"a picture has the type uint8, not {image.dtype}")
+        raise ValueError(f"an image has the type uint8, not {image.dtype}")
     if image.ndim not in {2, 3} or (image.ndim == 3 and image.shape[2] != 3):
-        raise ValueError(f"a picture has the shape (rows, columns) or (rows, columns, 3), not {image.shape}")
+        raise ValueError(f"an image has the shape (rows, columns) or (rows, columns, 3), not {image.shape}")
     if image.size == 0:
-        raise ValueError(f"a picture has at least one pixel, not the shape {image.shape}")
+        raise ValueError(f"an image has at least one pixel, not the shape {image.shape}")
 
 
-def _picture(image: UInt8) -> UInt8:
-    """The checked picture in one piece: a view is copied once here, or every sample would copy it."""
+def _checked(image: UInt8) -> UInt8:
+    """The checked image in one piece: a view is copied once here, or every sample would copy it."""
     check_image(image)
     return np.ascontiguousarray(image)
 

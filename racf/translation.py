@@ -21,7 +21,7 @@ Complex64 = NDArray[np.complex64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Match:
-    """Where the filter answers most: the box moved there, the response and how sharp it is.
+    """The maximum of the response: the box moved there, the response and how sharp it is.
 
     `value` is the response's peak; 1 is what the filter answers to the model it was learned from.
     """
@@ -88,7 +88,7 @@ class TranslationFilter:
         return Match(box.moved(dx * per_cell, dy * per_cell), response, float(response[row, col]), psr, apce)
 
     def learn(self, image: UInt8, box: Box) -> None:
-        """Take the target at `box` into the model and learn the filter anew."""
+        """Take the target at `box` into the model and learn the filter again."""
         params, before = self.params, self._model_f
         sample_f = self.sample(image, box)
         model_f = sample_f if before is None else before + np.float32(params.learning_rate) * (sample_f - before)

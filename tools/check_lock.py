@@ -6,10 +6,14 @@ its development extra must be met by a version in the lock.
 
 import re
 import sys
-from importlib.metadata import requires
 from pathlib import Path
 
 from packaging.requirements import Requirement
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
 
 
 def main() -> int:
@@ -18,9 +22,10 @@ def main() -> int:
     for name, version in re.findall(r"(?m)^([\w.-]+)==(\S+)", Path("requirements.lock").read_text()):
         lock.setdefault(name.lower(), set()).add(version)
     unmet = []
-    for text in requires("follow-me") or ():
+    project = tomllib.loads(Path("pyproject.toml").read_text())["project"]
+    for text in [*project["dependencies"], *project["optional-dependencies"]["dev"]]:
         need = Requirement(text)
-        if need.marker and not (need.marker.evaluate({"extra": ""}) or need.marker.evaluate({"extra": "dev"})):
+        if need.marker and not need.marker.evaluate():
             continue
         if not any(need.specifier.contains(version) for version in lock.get(need.name.lower(), ())):
             unmet.append(text)

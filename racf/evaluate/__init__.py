@@ -31,7 +31,7 @@ _HOME = {
 def __getattr__(name: str) -> Any:
     if name not in _HOME:
         raise AttributeError(f"module 'racf.evaluate' has no attribute {name!r}")
-    import importlib  # noqa: PLC0415 - only when a name is asked for: a flight imports only the box files
+    import importlib  # noqa: PLC0415 - only when a name is used: a flight imports only the box files
 
     return getattr(importlib.import_module(_HOME[name]), name)
 

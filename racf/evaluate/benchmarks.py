@@ -32,17 +32,17 @@ VISDRONE_ATTRIBUTES = ("ARC", "BC", "CM", "FM", "FOC", "IV", "LR", "OV", "POC", 
 UAVDT_ATTRIBUTES = ("BC", "CM", "OM", "SO", "IV", "OB", "SV", "LTT", "LO")
 DTB70_ATTRIBUTES = ("SV", "ARV", "OCC", "DEF", "FCM", "IPR", "OPR", "OV", "BC", "SOA", "MB")
 
-# UAV123 cuts `<folder>_1`, `_2`, ... out of one folder.  Each begins with the frame that ends the one before it, but
-# for these, which leave frames out (first frame at 30 per second, from the benchmark's configSeqs.m).
+# UAV123 cuts `<folder>_1`, `_2`, ... out of one folder.  Each begins with the last frame of the one before it,
+# except for these, which leave frames out (first frame at 30 per second, from the benchmark's configSeqs.m).
 UAV123_FIRST_AFTER_A_GAP = {"bird1_2": 775, "bird1_3": 1573, "uav1_3": 2473}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sequence:
-    """A named piece of video and where its target is.
+    """A named video clip and its target's annotation.
 
     `truth` is (frames, 4), `x, y, w, h` in the benchmark's own 1-based pixels, NaN where the target is absent.
-    `frames` is empty where only annotations are at hand; `missing` then says what was looked for.
+    `frames` is empty if there are only annotations; `missing` then names the files that were looked for.
     """
 
     name: str
@@ -63,7 +63,7 @@ class Sequence:
     def need_frames(self) -> None:
         """Raise FileNotFoundError unless there are frames to run a tracker on."""
         if not self.frames:
-            raise FileNotFoundError(f"sequence {self.name} has no frames: {self.missing} is not there")
+            raise FileNotFoundError(f"sequence {self.name} has no frames: {self.missing} does not exist")
 
 
 def is_known(name: str) -> bool:
@@ -134,12 +134,12 @@ def _read_uav123(root: Path, subset: str, frames_left_out: int) -> Iterator[Sequ
     truths = {path.stem: read_boxes(path) for path in visible((root / "anno" / subset).glob("*.txt"))}
     if not truths:
         yield from _annotations_only(root)
-    pictures = root / "data_seq" / subset
+    images = root / "data_seq" / subset
     for name, truth in truths.items():
-        folder, first = pictures / name, 1
+        folder, first = images / name, 1
         if not folder.is_dir():
             stem, first = _uav123_cut(name, truths, frames_left_out)
-            folder = pictures / stem
+            folder = images / stem
         frames = _numbered(folder, "{:06d}.jpg", first, len(truth)) if folder.is_dir() else ()
         attributes = _attributes(root / "anno" / subset / "att" / f"{name}.txt", UAV123_ATTRIBUTES)
         yield Sequence(name, subset, truth, frames, attributes, missing=str(folder))
@@ -206,7 +206,7 @@ def _matching(frames: tuple[Path, ...], truth: Boxes, truth_path: Path) -> tuple
     """The frames, if there is one for each annotation or none at all."""
     if frames and len(frames) != len(truth):
         raise ValueError(
-            f"{truth_path}: there must be an annotation a frame, not {len(truth)} for {len(frames)} frames"
+            f"{truth_path}: one annotation for each frame is needed, not {len(truth)} for {len(frames)} frames"
         )
     return frames
 
@@ -222,7 +222,7 @@ def _numbered(folder: Path, pattern: str, first: int, count: int) -> tuple[Path,
 
 
 def _attributes(path: Path, names: tuple[str, ...]) -> tuple[str, ...]:
-    """The attributes that a file of zeros and ones sets; none where there is no file."""
+    """The attributes that a file of zeros and ones sets; empty if there is no file."""
     if not path.is_file():
         return ()
     flags = [flag for row in read_numbers(path) for flag in row]

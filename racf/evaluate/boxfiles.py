@@ -1,6 +1,6 @@
 """Files of boxes: the text of benchmarks and trackers, and the MATLAB files of the toolkits.
 
-A text file has a line a frame, four numbers apart by comma, blanks or tab, `NaN` where there is no box.
+A text file has a line for each frame: four numbers separated by comma, blanks or tab, `NaN` for no box.
 """
 
 import re
@@ -14,7 +14,7 @@ import numpy as np
 from racf.evaluate.metrics import Boxes
 
 _APART = re.compile(r"[,;\s]+")
-# What a broken MATLAB file makes scipy raise, depending on the byte that is wrong; it does not know version 7.3.
+# What scipy raises on a broken MATLAB file, depending on the wrong byte; it cannot read version 7.3.
 _BROKEN = (
     ArithmeticError,
     AttributeError,
@@ -35,7 +35,7 @@ def read_boxes(path: Path) -> Boxes:
 
 
 def write_boxes(path: Path, boxes: Boxes) -> None:
-    """A line a frame, `x,y,w,h`, to a thousandth of a pixel."""
+    """Write a line `x,y,w,h` for each frame, to a thousandth of a pixel."""
     np.savetxt(path, boxes, fmt="%.3f", delimiter=",")
 
 
@@ -56,7 +56,7 @@ def read_numbers(path: Path) -> list[list[float]]:
 def _read_text(path: Path) -> Boxes:
     rows = read_numbers(path)
     if not rows:
-        raise ValueError(f"{path}: a file of boxes has a line a frame; this one is empty")
+        raise ValueError(f"{path}: a file of boxes has a line for each frame; this one is empty")
     for number, row in enumerate(rows, start=1):
         if len(row) != 4:
             raise ValueError(f"{path}, row {number}: a box has four numbers x, y, w, h, not {len(row)}")

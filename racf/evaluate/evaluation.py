@@ -48,9 +48,9 @@ class Evaluation:
         return self.report.as_json()
 
     def write(self, folder: Path, images: int = 0) -> list[Path]:
-        """Leave report.json, tables.md and the plots, and draw all boxes on frames of so many sequences.
+        """Leave report.json, tables.md and the plots, and draw all boxes on frames of `images` sequences.
 
-        What an earlier evaluation left under these names goes; boxes in `folder/runs` stay.
+        Files of an earlier evaluation with these names are deleted; boxes in `folder/runs` stay.
         """
         folder.mkdir(parents=True, exist_ok=True)
         for old in (path for pattern in WRITTEN for path in folder.glob(pattern)):
@@ -69,7 +69,7 @@ class Evaluation:
 
 def to_stderr(text: str) -> None:
     """Print a line on standard error."""
-    print(text, file=sys.stderr)  # noqa: T201 - what is left out of an evaluation is said
+    print(text, file=sys.stderr)  # noqa: T201 - a person must know what an evaluation leaves out
 
 
 def evaluate(
@@ -93,42 +93,33 @@ def evaluate(
     """Run trackers over a benchmark's sequences once each and compare their boxes with the annotation.
 
         evaluation = racf.evaluate.evaluate("DATA", trackers=["racf", "bacf", MyTracker], jitter=5, out="results")
-        evaluation.summary[0]                         # a table; in a notebook it is shown as one
-        evaluation.figures()["racf"]["auc"]           # percent
-        evaluation.boxes["MyTracker"]["car1"]         # (frames, 4)
+        evaluation.summary[0], evaluation.figures()["racf"]["auc"]     # a table, a figure in percent
+        evaluation.boxes["MyTracker"]["car1"]                          # (frames, 4)
 
-    root: folder of the benchmark.
-    benchmark: its layout: folder, uav123, uav123@10fps, dtb70, uavdt or visdrone2018.
+    root, benchmark: folder and its layout: folder, uav123, uav123@10fps, dtb70, uavdt or visdrone2018.
     trackers: names (racf, racf-, racf--, bacf, arcf-hc and settings; OpenCV's csrt, kcf, mil, nano, vit; module:Class),
-        classes of your own (`racf.evaluate.own` has the four lines they need), or a mapping of labels to these.
-        By default racf, unless boxes are imported.
+        classes of your own (see `racf.evaluate.own`), or a mapping of labels to these; racf unless boxes are imported.
     settings: key=value for all trackers that are named.
     imports: stored boxes to compare with: NAME=DIR, DIR for all trackers in it, or the `out` folder of an evaluation.
     only: patterns of the sequences to use, by name or benchmark/name.
     jitter: start each sequence this many times more, from slightly wrong first boxes.
     table, sweep: lay the results out as this table of the paper, 2 to 5, over these iterations and weights.
     out: folder for boxes, tables and plots; a later call with the same `out` goes on from the boxes there.
-    images: with out, draw all boxes on frames of so many sequences, those that tell the trackers apart most.
+    images: with out, draw all boxes on frames of this number of sequences, those that tell the trackers apart most.
     jobs: processes (0: one for each core).  dask: address of a Dask scheduler to run on instead.
     progress: show a bar on standard error.  notify: is given a line for each thing left out.
-
-    The first tracker is the one that the others' paired differences are to.  Raises ValueError, which names the thing,
-    the rule and the value, before anything runs.
+    Paired differences are to the first tracker.  Raises ValueError for wrong arguments before anything runs.
     """
-    sweep = sweep or studies.Sweep()
+    sweep, folder, root = sweep or studies.Sweep(), Path(out) if out else None, Path(root)
     _check(table, images, out, jitter, jobs, given=bool(trackers or imports))
     usual = () if imports else ("racf",) if table is None else studies.trackers_of(table, sweep)
     builders = _builders(trackers or usual, settings)
-    sequences = _sequences(Path(root), benchmark, only)
-    if images and not any(s.frames for s in sequences):
-        raise UsageError(f"images need frames to draw on; the sequences of {root} have none")
+    sequences = _sequences(root, benchmark, only, need_frames=images > 0)
     stored = import_boxes(imports, sequences, [b.label for b in builders], notify)
-    folder = None if out is None else Path(out)
     runs = _run(builders, sequences, jitter, jobs=jobs, folder=folder, dask=dask, progress=progress)
-    evaluation = _judge(Path(root), sequences, runs, stored, table, sweep)
+    evaluation = _judge(root, sequences, runs, stored, table, sweep)
     if folder is not None:
-        written = evaluation.write(folder, images)
-        written += studies.draw(table, evaluation.report, sweep, folder) if table is not None else []
+        written = [*evaluation.write(folder, images), *studies.draw(table, evaluation.report, sweep, folder)]
         notify(f"report.json, tables.md and {len(written) - 2} figures are in {folder}")
     return evaluation
 
@@ -161,12 +152,15 @@ def _builders(trackers: Any, settings: Collection[str]) -> list[TrackerBuilder]:
         raise UsageError(str(error)) from None
 
 
-def _sequences(root: Path, benchmark: str, only: Iterable[str]) -> list[Sequence]:
+def _sequences(root: Path, benchmark: str, only: Iterable[str], *, need_frames: bool) -> list[Sequence]:
     if not root.is_dir():
         raise UsageError(f"a folder of sequences is needed; {root} is not a folder")
     if not is_known(benchmark):
         raise UsageError(f"benchmark is one of {', '.join(BENCHMARKS)}, not {benchmark!r}")
-    return select(root, only, read_benchmark(benchmark, root))
+    sequences = select(root, only, read_benchmark(benchmark, root))
+    if need_frames and not any(s.frames for s in sequences):
+        raise UsageError(f"images need frames to draw on; the sequences of {root} have none")
+    return sequences
 
 
 def _matches(sequence: Sequence, pattern: str) -> bool:

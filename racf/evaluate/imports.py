@@ -16,7 +16,7 @@ def import_boxes(
 ) -> dict[str, Stored]:
     """What each of `texts` names, by label; `taken` are the labels of the trackers that are run.
 
-    `notify` is told of what is left out.  Raises UsageError naming a text that cannot be met.
+    `notify` is given a line for what is left out.  Raises UsageError that names a text without boxes.
     """
     found, running = dict[str, Stored](), set(taken)
     for text in texts:

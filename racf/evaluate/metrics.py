@@ -1,9 +1,9 @@
 """Precision and success of one-pass evaluation, in the published toolkits' convention and in a strict one.
 
-Boxes are (frames, 4) float64 arrays of `x, y, w, h`, both sides in the same pixel convention.  All shares are percent.
+Boxes are (frames, 4) float64 arrays of `x, y, w, h`, both sides in the same pixel convention.  All figures are percent.
 
 The **toolkit** convention is what the published MATLAB toolkits compute, and so what papers print.  A frame whose
-annotation says "absent" (NaN) or touches the picture's border (`x <= 0` or `y <= 0`) counts as a hit of the precision
+annotation says "absent" (NaN) or touches the image's border (`x <= 0` or `y <= 0`) counts as a hit of the precision
 and a miss of the success.  The **strict** convention leaves out the frames without a target and counts those at the
 border as any other.
 """
@@ -81,7 +81,7 @@ def mean_score(scores: list[Score]) -> Score:
 
 
 def filled(boxes: Boxes) -> Boxes:
-    """A copy in which a box that is not one (NaN, or a side not positive) repeats the one before it."""
+    """A copy in which an invalid box (NaN, or a side not positive) repeats the one before it."""
     usable = np.all(np.isfinite(boxes), axis=1) & np.all(boxes[:, 2:] > 0, axis=1)
     latest = np.maximum.accumulate(np.where(usable, np.arange(len(boxes)), 0))
     return boxes[latest].copy()
@@ -99,7 +99,7 @@ def overlaps(boxes: Boxes, truth: Boxes) -> NDArray[np.float64]:
     far = np.minimum(boxes[:, :2] + boxes[:, 2:], truth[:, :2] + truth[:, 2:])
     shared = np.prod(np.maximum(far - near, 0.0), axis=1)
     union = np.prod(boxes[:, 2:], axis=1) + np.prod(truth[:, 2:], axis=1) - shared
-    return np.minimum(shared / union, 1.0)  # rounding can leave equal boxes a trifle above
+    return np.minimum(shared / union, 1.0)  # rounding can leave equal boxes slightly above 1
 
 
 def interval_of_mean(values: list[float], *, resamples: int = 2000, seed: int = 0) -> tuple[float, float]:

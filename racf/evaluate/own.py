@@ -5,8 +5,8 @@
         def update(self, image): ...       # returns the target's box in the next image: a racf.Box or (x, y, w, h),
                                            # None if it was not found, or a racf.Track
 
-`racf eval ROOT --tracker mymodule:MyTracker,size=3` builds `MyTracker(size=3)` afresh for each sequence; the module is
-looked for in the current folder, too.
+`racf eval ROOT --tracker mymodule:MyTracker,size=3` builds a new `MyTracker(size=3)` for each sequence; the module is
+also looked for in the current folder.
 """
 
 import ast
@@ -71,7 +71,7 @@ class OwnTracker:
 class OwnSpec:
     """A class of yours (or a function that builds a tracker) and the label of its row.
 
-    Results are reused by a later run only while the source code of the class is at hand and unchanged.
+    A later run reuses results only if the source code of the class can be read and is unchanged.
     """
 
     label: str
@@ -117,7 +117,7 @@ def build(name: str, settings: Mapping[str, str]) -> OwnTracker:
 
 
 def source_of(thing: Any) -> str | None:
-    """The text of the file in which a class or function stands, or of itself where there is no file."""
+    """The text of the file in which a class or function stands, or of itself if there is no file."""
     try:
         file = inspect.getsourcefile(thing)
         return Path(file).read_text() if file and Path(file).is_file() else inspect.getsource(thing)

@@ -140,7 +140,7 @@ def _with_boxes(
     at: Mapping[str, NDArray[np.float64]],
     lines: Mapping[str, tuple[tuple[float, ...], int]],
 ) -> NDArray[np.uint8]:
-    """A copy, `IMAGE_COLS` wide, with boxes in 1-based pixels of the original drawn on it, but for those of NaN."""
+    """A copy, `IMAGE_COLS` wide, with boxes in 1-based pixels of the original drawn on it, except those of NaN."""
     scale = IMAGE_COLS / image.shape[1]
     small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     for label, box in at.items():

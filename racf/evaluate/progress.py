@@ -20,7 +20,7 @@ class FramesPerSecond(ProgressColumn):
 
 
 class Bar:
-    """Counts the frames of finished tasks; those found on disk shorten the way instead of counting as speed."""
+    """Counts the frames of finished tasks; those found on disk reduce the total instead of counting as speed."""
 
     def __init__(self, progress: Progress, frames: int) -> None:
         self._progress = progress
@@ -28,7 +28,7 @@ class Bar:
         self._frames = frames
 
     def done(self, task: runner.Task, run: runner.SequenceRun, stored: bool) -> None:
-        """Take note of a finished task."""
+        """Count a finished task."""
         if stored:
             self._frames -= len(task.frames)
             self._progress.update(self._task, total=self._frames)

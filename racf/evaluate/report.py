@@ -1,4 +1,4 @@
-"""What an evaluation says: scores of each tracker by sequence, their means, tables and JSON.  Shares are percent."""
+"""The outcome of an evaluation: scores of each tracker by sequence, means, tables and JSON, all in percent."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -143,7 +143,7 @@ class Report:
         return out
 
     def differences(self) -> Table | None:
-        """The differences of all rows to the first, or None where there is one row."""
+        """The differences of all rows to the first, or None if there is one row."""
         if len(self.rows) < 2:
             return None
         found = {row.label: self.difference(row) for row in self.rows[1:]}
@@ -189,7 +189,7 @@ class Report:
         return Table("By sequence: precision / AUC, percent", header, tuple(rows))
 
     def by_group(self) -> list[Table]:
-        """The same by benchmark and by attribute, where there are any."""
+        """The same by benchmark and by attribute, if there are any."""
         labels = tuple(row.label for row in self.rows)
         groups = {"benchmark": {b: self.names(b) for b in self.benchmarks()}} if len(self.benchmarks()) > 1 else {}
         if self.attributes():

@@ -1,7 +1,7 @@
 """The least that each stage of the tracker must do: arithmetic of its transforms, bytes it must read and write once.
 
 A stage cannot take less than its arithmetic at the speed of a matrix product, nor than its bytes at the speed of a
-copy out of the caches; both speeds are measured on the machine at hand.  Letters: N = H W cells of the sample, D
+copy out of the caches; both speeds are measured on this machine.  Letters: N = H W cells of the sample, D
 channels, m x n the filter's support, S scales; a real transform of N numbers counts 2.5 N log2 N operations.
 """
 

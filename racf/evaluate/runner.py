@@ -176,7 +176,7 @@ def _outcomes(todo: list[Task], jobs: int, dask: str | None) -> Iterator[tuple[T
         for task in todo:
             yield task, run_task(task)
     else:
-        # Compiled here first, so that each process loads the kernels instead of compiling (and announcing) them, too.
+        # Compiled here first: otherwise each process would compile the kernels and announce it.
         for spec in {type(task.spec.build()): task.spec for task in todo}.values():
             warm_up(spec)
         yield from each(run_task, todo, jobs)

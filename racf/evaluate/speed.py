@@ -1,7 +1,7 @@
 """How fast, on one core: every tracker and its OpenCV peers on the same frames in the same run.
 
-Each image is handed to all trackers in turn, in an order that rotates, so that whatever else the machine does strikes
-all of them alike; a ratio is taken within a sequence, and the median over the sequences is reported.
+Each image is handed to all trackers in turn, in an order that rotates, so that other load on the machine slows
+all of them equally; a ratio is taken within a sequence, and the median over the sequences is reported.
 """
 
 import json

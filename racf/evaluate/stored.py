@@ -1,4 +1,4 @@
-"""Boxes that somebody's tracker left in files, found for the sequences of a benchmark.
+"""Boxes of other trackers in files, found for the sequences of a benchmark.
 
 Known arrangements, with `.txt` or `.mat` files: `DIR/<sequence>`, `DIR/<tracker>/<sequence>`, the same in a folder
 `DIR/<benchmark>` or `results` (also `DIR/<benchmark>/results`), and the toolkits' `<sequence>_<tracker>.mat`.  A file
@@ -26,7 +26,7 @@ class Stored:
 
 
 def read_stored(folder: Path, tracker: str, sequences: Iterable[Sequence]) -> Stored:
-    """What a tracker left in `folder`; raises ValueError when a file has not as many boxes as there are frames."""
+    """A tracker's boxes in `folder`; raises ValueError if a file does not have one box for each frame."""
     found = Stored({})
     for sequence in sequences:
         path = _find(folder, tracker, sequence)
@@ -56,7 +56,7 @@ def with_results(folder: Path, sequences: list[Sequence]) -> set[str]:
 
 
 def sequences_of_trackers(folder: Path, sequences: list[Sequence]) -> dict[str, set[str]]:
-    """Names of the sequences that each tracker in `folder` has a result for; the folder `anno` is none."""
+    """Names of the sequences that each tracker in `folder` has a result for; the folder `anno` is not a tracker."""
     places = {folder / part for s in sequences for part in ("", "results", s.benchmark, f"{s.benchmark}/results")}
     trackers = {p.name for place in places if place.is_dir() for p in visible(place.iterdir()) if p.is_dir()}
     return {name: {s.name for s in sequences if _find(folder, name, s)} for name in sorted(trackers - {"anno"})}

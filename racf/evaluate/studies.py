@@ -52,7 +52,7 @@ def lay_out(table: int, report: Report, grid: Sweep) -> Table:
     return layouts[table]()
 
 
-def draw(table: int, report: Report, grid: Sweep, folder: Path) -> list[Path]:
+def draw(table: int | None, report: Report, grid: Sweep, folder: Path) -> list[Path]:
     """Tables 3 and 4 as a figure: success over iterations, a line for each tracker or weight."""
     if table == 3:
         lines = {name: [_auc(report, _iterated(name, n)) for n in grid.iterations] for name in CONVERGING}

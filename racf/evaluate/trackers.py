@@ -36,7 +36,7 @@ class TrackerSpec:
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Read `name[,key=value...]`.  The label is the text, but for the files of a network."""
+        """Read `name[,key=value...]`.  The label is the text without the files of a network."""
         name, settings = split_settings(text)
         files = NETWORKS.get(name, ())
         parts = [part for part in text.split(",") if part.partition("=")[0].strip() not in files]

@@ -59,7 +59,7 @@ def test_eval_leaves_boxes_tables_and_figures_and_resumes_from_them(data, tmp_pa
         assert (out / name).stat().st_size > 0
     assert "| racf-,robust |" in (out / "tables.md").read_text()
     assert racf(*arguments) == 0
-    assert capsys.readouterr().out == first  # the speed, too: nothing ran again
+    assert capsys.readouterr().out == first  # also the speed: nothing ran again
 
 
 def test_eval_compares_stored_boxes(data, tmp_path, capsys):

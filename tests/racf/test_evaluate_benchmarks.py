@@ -125,11 +125,11 @@ BROKEN = {
     ),
     "the last frame is missing": (
         lambda root: (root / "walk" / "000308.png").unlink(),
-        r"groundtruth_rect\.txt: there must be an annotation a frame, not 6 for 5 frames",
+        r"groundtruth_rect\.txt: one annotation for each frame is needed, not 6 for 5 frames",
     ),
     "the annotation is short": (
         lambda root: rendered.write_truth(root / "walk" / "groundtruth_rect.txt", rendered.path_of_target(4)),
-        r"groundtruth_rect\.txt: there must be an annotation a frame, not 4 for 6 frames",
+        r"groundtruth_rect\.txt: one annotation for each frame is needed, not 4 for 6 frames",
     ),
     "a row is short": (
         lambda root: (root / "walk" / "groundtruth_rect.txt").write_text("1,2,3,4\n1,2,3\n"),
@@ -229,7 +229,7 @@ def test_a_stored_result_that_is_too_short_is_named(tmp_path):
 def test_frames_come_from_a_folder_or_fail_with_its_name(tmp_path):
     rendered.plain_folder(tmp_path)
     assert len(list(frames_of(tmp_path / "walk"))) == 6
-    (tmp_path / "walk" / "000304.png").write_bytes(b"no picture")
+    (tmp_path / "walk" / "000304.png").write_bytes(b"no image")
     with pytest.raises(ValueError, match=r"000304\.png is not an image"):
         list(frames_of(tmp_path / "walk"))
     with pytest.raises(ValueError, match="without images"):

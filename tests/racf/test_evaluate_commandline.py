@@ -77,7 +77,7 @@ def test_a_failure_is_one_line_with_its_status(error, status, capsys):
     assert capsys.readouterr().err.count("\n") == 1
 
 
-def test_a_defect_keeps_its_traceback():
+def test_a_bug_keeps_its_traceback():
     with pytest.raises(ZeroDivisionError):
         fly(["land"], ZeroDivisionError())
 

@@ -11,7 +11,7 @@ FRAMES = 40
 
 
 def truth() -> np.ndarray:
-    """A target of 30x20 that walks across the picture, far from its border."""
+    """A target of 30x20 that walks across the image, far from its border."""
     step = np.arange(FRAMES, dtype=float)
     return np.stack([100 + 3 * step, 80 + 2 * step, np.full(FRAMES, 30.0), np.full(FRAMES, 20.0)], axis=1)
 

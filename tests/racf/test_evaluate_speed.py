@@ -1,4 +1,4 @@
-"""What the speed measurement must be to be fair: same pictures, turn by turn, ratios within a sequence."""
+"""What the speed measurement must be to be fair: same images, turn by turn, ratios within a sequence."""
 
 import pytest
 
@@ -11,7 +11,7 @@ from racf.evaluate.trackers import TrackerSpec
 from racf.params import preset
 
 
-def test_every_tracker_is_timed_on_every_picture_after_the_first(tmp_path):
+def test_every_tracker_is_timed_on_every_image_after_the_first(tmp_path):
     (clip,) = speed.clips_of(read_benchmark("folder", rendered.plain_folder(tmp_path, frames=6)), frames=5)
     specs = [TrackerSpec.parse(name) for name in ("racf-", "bacf", "racf-,robust")]
     laps = speed.measure(specs, clip)
@@ -27,7 +27,7 @@ def test_a_sequence_of_one_frame_is_refused_in_one_sentence(tmp_path):
         speed.clips_of(read_benchmark("folder", rendered.plain_folder(tmp_path, frames=1)), frames=5)
 
 
-def test_rendered_pictures_are_the_same_each_time_and_show_the_target_where_it_is_said_to_be():
+def test_rendered_images_are_the_same_each_time_and_show_the_target_where_it_is_said_to_be():
     target = Box(400, 300, 48, 36)
     first, again = (list(speed.rendered(target, 3)) for _ in range(2))
     assert all((a == b).all() for a, b in zip(first, again, strict=True))

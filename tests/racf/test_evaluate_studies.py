@@ -24,7 +24,7 @@ def sequences(tmp_path):
 
 
 def report_of(sequences, shifts: dict[str, float]):
-    """Trackers whose every box after the first is off by so many pixels."""
+    """Trackers whose every box after the first is off by the given number of pixels."""
     runs = {
         label: {s.name: [SequenceRun(s.truth + np.array([shift, 0, 0, 0]), 50.0, {})] for s in sequences}
         for label, shift in shifts.items()

@@ -91,7 +91,7 @@ def test_a_second_target_is_refined_like_a_first_one():
     truth = Box(120, 80, 50, 36)
     flat = np.full((200, 300, 3), 90, np.uint8)
     tracker = Refined(Still(), WHOLE)
-    for picture in (flat, scene(truth)):  # on the flat one every segment is rejected, which makes pauses
-        tracker.init(picture, (118, 80, 56, 36))
-        boxes = [tracker.update(picture)[1] for _ in range(3)]
+    for image in (flat, scene(truth)):  # on the flat one every segment is rejected, which makes pauses
+        tracker.init(image, (118, 80, 56, 36))
+        boxes = [tracker.update(image)[1] for _ in range(3)]
     assert Box(*boxes[0]).iou(truth) > 0.93

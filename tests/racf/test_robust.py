@@ -1,4 +1,4 @@
-"""Confidence, occlusion, re-detection, priors: what the follower relies on, on rendered pictures."""
+"""Confidence, occlusion, re-detection, priors: what the follower relies on, on rendered images."""
 
 import dataclasses
 
@@ -17,7 +17,7 @@ WALL = cv2.GaussianBlur(np.random.default_rng(9).integers(0, 256, (ROWS, 90, 3),
 ROBUST = preset("racf,robust")
 
 
-def picture(x: int, y: int, wall_at: int | None = None) -> np.ndarray:
+def image(x: int, y: int, wall_at: int | None = None) -> np.ndarray:
     """The target with its top-left corner at (x, y), in front of the ground, behind a wall 90 pixels wide."""
     image = GROUND.copy()
     image[y : y + SIDE, x : x + SIDE] = TARGET
@@ -32,15 +32,15 @@ def box(x: int, y: int) -> Box:
 
 def settled(params=ROBUST) -> Racf:
     tracker = Racf(params)
-    tracker.init(picture(40, 100), box(40, 100))
+    tracker.init(image(40, 100), box(40, 100))
     for k in range(1, 9):
-        tracker.update(picture(40 + 3 * k, 100))
+        tracker.update(image(40 + 3 * k, 100))
     return tracker
 
 
 def test_a_target_in_plain_view_is_found_with_confidence():
     tracker = settled()
-    track = tracker.update(picture(67, 100))
+    track = tracker.update(image(67, 100))
     assert track.found
     assert track.confidence > 0.8
 
@@ -48,7 +48,7 @@ def test_a_target_in_plain_view_is_found_with_confidence():
 def test_an_occluded_target_is_not_found_and_is_found_again_behind_the_wall():
     tracker, tracks = settled(), []
     for k in range(9, 75):
-        tracks.append((k, tracker.update(picture(40 + 3 * k, 100, wall_at=120))))
+        tracks.append((k, tracker.update(image(40 + 3 * k, 100, wall_at=120))))
     hidden = [track for k, track in tracks if 40 + 3 * k >= 120 and 40 + 3 * k + SIDE <= 210]
     assert hidden
     assert not any(track.found for track in hidden)
@@ -69,7 +69,7 @@ def test_nothing_is_learned_while_the_target_is_hidden():
     tracker = settled()
     learned = tracker._filter._learned
     for _ in range(5):
-        tracker.update(picture(67, 100, wall_at=40))
+        tracker.update(image(67, 100, wall_at=40))
     assert tracker._filter._learned is learned
 
 
@@ -79,14 +79,14 @@ def test_a_target_that_reappears_elsewhere_is_found_again():
         track = tracker.update(GROUND)
         assert not track.found
     for _ in range(14):
-        track = tracker.update(picture(200, 60))
+        track = tracker.update(image(200, 60))
     assert track.found
     assert track.box.iou(box(200, 60)) > 0.7
 
 
 def test_a_target_just_lost_is_not_taken_to_be_far_away_at_once():
     tracker = settled()
-    far = [tracker.update(picture(200, 60)).found for _ in range(40)]
+    far = [tracker.update(image(200, 60)).found for _ in range(40)]
     assert not any(far[: ROBUST.redetect_patience - 1])
     assert far[-1]
 
@@ -100,13 +100,13 @@ def test_without_re_detection_a_target_elsewhere_stays_lost():
     tracker = settled(dataclasses.replace(ROBUST, redetect=False))
     for _ in range(3):
         tracker.update(GROUND)
-    assert not any(tracker.update(picture(330, 190)).found for _ in range(14))
+    assert not any(tracker.update(image(330, 190)).found for _ in range(14))
 
 
 @pytest.mark.parametrize("params", [preset("racf"), ROBUST])
 def test_a_prior_moves_the_search(params):
     tracker = Racf(params)
-    tracker.init(picture(40, 100), box(40, 100))
-    track = tracker.update(picture(260, 100), prior=box(250, 100))
+    tracker.init(image(40, 100), box(40, 100))
+    track = tracker.update(image(260, 100), prior=box(250, 100))
     assert track.search.centre_x == pytest.approx(250 + SIDE / 2)
     assert track.box.iou(box(260, 100)) > 0.7

@@ -24,7 +24,7 @@ def random_planes(rng, *shape) -> np.ndarray:
 
 
 def centred_rfft2(x: np.ndarray) -> np.ndarray:
-    """scipy's own transform of a picture whose middle is position 0."""
+    """scipy's own transform of an image whose middle is position 0."""
     return scipy.fft.rfft2(scipy.fft.ifftshift(x, axes=(0, 1)), axes=(0, 1))
 
 

@@ -1,4 +1,4 @@
-"""The whole tracker on rendered pictures: geometry, odd inputs, refusals."""
+"""The whole tracker on rendered images: geometry, odd inputs, refusals."""
 
 import dataclasses
 import sys
@@ -99,7 +99,7 @@ def test_a_target_larger_than_half_the_frame_is_tracked():
         (np.zeros((0, 10, 3), np.uint8), Box(1, 1, 5, 5), "at least one pixel"),
         (np.zeros((90, 90, 3), np.float32), Box(1, 1, 5, 5), "uint8, not float32"),
         (np.zeros((90, 90, 4), np.uint8), Box(1, 1, 5, 5), r"not \(90, 90, 4\)"),
-        (np.zeros((90, 90, 3), np.uint8), Box(100, 1, 5, 5), "target 100,1,5,5 lies outside the 90x90 picture"),
+        (np.zeros((90, 90, 3), np.uint8), Box(100, 1, 5, 5), "target 100,1,5,5 lies outside the 90x90 image"),
         (np.zeros((90, 90, 3), np.uint8), Box(1, 1, 1, 5), "at least 2 pixels"),
         (np.zeros((90, 90, 3), np.uint8), (1, 1, 5, 5), r"a target is a racf\.Box\(x, y, w, h\), not \(1, 1, 5, 5\)"),
     ],
@@ -142,7 +142,7 @@ def compiled_kernels() -> dict[str, int]:
 @pytest.mark.parametrize("side", [40, 200])
 @pytest.mark.parametrize("kind", [read_only, reversed_channels, np.ascontiguousarray])
 @pytest.mark.parametrize("number", [float, int, np.float32])
-def test_after_the_warm_up_no_kind_of_picture_or_box_compiles_a_kernel(kind, number, side):
+def test_after_the_warm_up_no_kind_of_image_or_box_compiles_a_kernel(kind, number, side):
     warm_up()
     before, tracker = compiled_kernels(), Racf()
     tracker.init(kind(scene(160, 120, side)), Box(*map(number, (160 - side / 2, 120 - side / 2, side, side))))
@@ -151,7 +151,7 @@ def test_after_the_warm_up_no_kind_of_picture_or_box_compiles_a_kernel(kind, num
 
 
 @pytest.mark.parametrize("kind", [read_only, reversed_channels])
-def test_every_kind_of_picture_gives_the_same_boxes(kind):
+def test_every_kind_of_image_gives_the_same_boxes(kind):
     def run(kind) -> list[Box]:
         tracker = Racf()
         tracker.init(kind(scene(100, 100, 40)), around(100, 100, 40))

@@ -2,11 +2,11 @@
 
     python -m tools.studies.confidence DATA [--frames 300] [--tracker racf,robust,redetect=false]
 
-DATA holds folders of real sequences (`*/*/` with pictures and an annotation file).  Every picture gives the PSR over
-the target's usual PSR, taken as the target estimate takes it, and the overlap with the annotated box.  Every fifth
-picture is also shown to a copy of the tracker that is told to look one search area away, where there is nothing of the
-target.  Prints, for a range of thresholds, how often a tracker on its target would be doubted, and one that looks
-elsewhere or has drifted off believed; draws docs/confidence.png.
+DATA holds folders of real sequences (`*/*/` with images and an annotation file).  Every frame gives the PSR over the
+target's usual PSR, computed as the target estimate computes it, and the overlap with the annotated box.  Every fifth
+frame is also given to a copy of the tracker that searches one search area away, where nothing of the target is.
+Prints, for a range of thresholds, how often a tracker on its target would be rejected, and one that looks elsewhere or
+has drifted off accepted; draws docs/confidence.png.
 """
 
 import argparse
@@ -31,14 +31,14 @@ from racf.track import Track
 from racf.tracker import Racf
 
 CONFIG = TargetConfig()
-ON, OFF = 0.3, 0.1  # overlaps: surely on the target; surely not
-EVERY = 5  # pictures from one look elsewhere to the next
+ON, OFF = 0.3, 0.1  # overlaps: certainly on the target; certainly not
+EVERY = 5  # frames from one look elsewhere to the next
 THRESHOLDS = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
 
 
 @dataclass
 class Ratios:
-    """PSR over its usual value: of the pictures as they were followed, with their overlaps, and of looks elsewhere."""
+    """PSR over its usual value: of the frames as they were followed, with their overlaps, and of looks elsewhere."""
 
     followed: list[float] = field(default_factory=list)
     overlap: list[float] = field(default_factory=list)
@@ -46,7 +46,7 @@ class Ratios:
 
 
 def measure(folder: Path, truth: np.ndarray, tracker: str, frames: int, into: Ratios) -> list[float]:
-    """Follow one sequence; the overlaps of its pictures."""
+    """Follow one sequence; the overlaps of its frames."""
     boxes = [Box(x - 1, y - 1, w, h) if w > 0 and h > 0 else None for x, y, w, h in np.nan_to_num(truth).tolist()]
     finder, random = TrackerSpec.parse(tracker).build(), np.random.default_rng(0)
     assert isinstance(finder, Racf)
@@ -74,7 +74,7 @@ def measure(folder: Path, truth: np.ndarray, tracker: str, frames: int, into: Ra
 
 
 def away(track: Track, image: np.ndarray, random: np.random.Generator) -> Box | None:
-    """The box moved by one search area to a side on which there is picture; None when there is none."""
+    """The box moved by one search area to a side that is inside the image; None if no side is."""
     rows, columns = image.shape[:2]
     x, y, step_x, step_y = track.box.centre_x, track.box.centre_y, track.search.w, track.search.h
     places = [(x + step_x, y), (x - step_x, y), (x, y + step_y), (x, y - step_y)]
@@ -85,16 +85,16 @@ def away(track: Track, image: np.ndarray, random: np.random.Generator) -> Box | 
 
 
 def sequences(data: Path) -> list[tuple[Path, Path]]:
-    """(folder of pictures, annotation file) of every sequence below DATA."""
+    """(folder of images, annotation file) of every sequence below DATA."""
     found = []
     for file in sorted(data.glob("*/*/groundtruth*.txt")):
-        pictures = file.parent / "img" if (file.parent / "img").is_dir() else file.parent
-        found.append((pictures, file))
+        images = file.parent / "img" if (file.parent / "img").is_dir() else file.parent
+        found.append((images, file))
     return found
 
 
-def share(what: np.ndarray) -> float:
-    """The share that is true, where there is any."""
+def fraction(what: np.ndarray) -> float:
+    """The fraction that is true; NaN of nothing."""
     return float(np.mean(what)) if len(what) else np.nan
 
 
@@ -121,14 +121,14 @@ def main() -> None:
     ratios = Ratios()
     for folder, file in sequences(args.data):
         overlaps = measure(folder, read_boxes(file), args.tracker, args.frames, ratios)
-        on_target = share(np.array(overlaps) >= ON)
-        print(f"{file.parent.name:<14}{len(overlaps):>5} pictures, on target {on_target:.3f}", flush=True)
+        on_target = fraction(np.array(overlaps) >= ON)
+        print(f"{file.parent.name:<14}{len(overlaps):>5} frames, on target {on_target:.3f}", flush=True)
     ratio, overlap, elsewhere = map(np.array, (ratios.followed, ratios.overlap, ratios.elsewhere))
     on, off = ratio[overlap >= ON], ratio[overlap < OFF]
-    print(f"{len(on)} pictures on the target, {len(elsewhere)} looks elsewhere, {len(off)} drifted off")
-    print(f"{'threshold':>10}{'on, doubted':>14}{'elsewhere, believed':>22}{'drifted, believed':>20}")
+    print(f"{len(on)} frames on the target, {len(elsewhere)} looks elsewhere, {len(off)} drifted off")
+    print(f"{'threshold':>10}{'on, rejected':>14}{'elsewhere, accepted':>22}{'drifted, accepted':>20}")
     for t in THRESHOLDS:
-        print(f"{t:>10}{share(on < t):>14.3f}{share(elsewhere >= t):>22.3f}{share(off >= t):>20.3f}")
+        print(f"{t:>10}{fraction(on < t):>14.3f}{fraction(elsewhere >= t):>22.3f}{fraction(off >= t):>20.3f}")
     draw(ratio, overlap, elsewhere, args.out)
 
 
