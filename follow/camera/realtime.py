@@ -1,4 +1,4 @@
-"""What a camera's pictures must go through before a vehicle flies by them in real time."""
+"""Filters between a camera and a vehicle that flies by it in real time."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -12,11 +12,11 @@ from follow.camera import Camera
 from follow.camera.video import ReplayCamera
 from follow.messages import Frame
 
-COARSE = 16  # every 16th row and column tells most pictures apart in microseconds
+COARSE = 16  # every 16th row and column tells most frames apart in microseconds
 
 
 class RealTime:
-    """A replayed camera in real time: each picture comes when it is due, and bears the time at which it came."""
+    """A replayed camera in real time: each frame comes when it is due, and bears the time at which it came."""
 
     def __init__(self, footage: ReplayCamera, clock: Callable[[], float] = time.monotonic) -> None:
         self.footage = footage
@@ -24,11 +24,11 @@ class RealTime:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of its pictures."""
+        """Width and height of its frames."""
         return self.footage.size
 
     def frames(self) -> Iterator[Frame | None]:
-        """Yield each picture when it is due, or None for a round without one; a slow consumer misses pictures."""
+        """Yield each frame when it is due, or None for a round without one; a slow consumer misses frames."""
         began_s = self._clock()
         for n, frame in enumerate(self.footage.frames()):
             late_s = self._clock() - began_s - n / self.footage.fps
@@ -48,10 +48,10 @@ class RealTime:
 
 
 class NewPictures:
-    """A camera whose repeated pictures count as none.
+    """Drops frames that repeat the one before.
 
-    A camera, driver or encoder that froze may go on delivering its last picture with fresh times, and a vehicle that
-    turns with a target which no longer moves in the picture would turn for ever.  A living sensor's noise never gives
+    A camera, driver or encoder that froze may go on delivering its last frame with fresh times, and a vehicle that
+    turns with a target which no longer moves in the frame would turn for ever.  A living sensor's noise never gives
     the same bytes twice.
     """
 
@@ -59,7 +59,7 @@ class NewPictures:
         self._camera = camera
 
     def frames(self) -> Iterator[Frame | None]:
-        """Yield what the camera yields, but None for a picture that equals the one before."""
+        """Yield what the camera yields, but None for a frame that equals the one before."""
         last: NDArray[np.uint8] | None = None
         for frame in self._camera.frames():
             if frame is None or (last is not None and is_same(frame.image, last)):
@@ -79,6 +79,6 @@ class NewPictures:
 
 
 def is_same(image: NDArray[np.uint8], other: NDArray[np.uint8]) -> bool:
-    """Whether two pictures are equal in every byte."""
+    """Whether two frames are equal in every byte."""
     coarse = slice(None, None, COARSE)
     return np.array_equal(image[coarse, coarse], other[coarse, coarse]) and np.array_equal(image, other)

@@ -10,10 +10,10 @@ from follow.messages import Frame
 
 
 class Camera(Protocol):
-    """A source of pictures.  Leaving the `with` block releases the device."""
+    """A source of frames.  Leaving the `with` block releases the device."""
 
     def frames(self) -> Iterator[Frame | None]:
-        """Yield each new picture in order, or None for a round in which none came in time.
+        """Yield each new frame in order, or None for a round in which none came in time.
 
         Ends when the source ends.  Raises CameraError when the source breaks.
         """
@@ -27,4 +27,4 @@ class Camera(Protocol):
 
 
 class CameraError(RuntimeError):
-    """A source of pictures cannot be opened or broke; the message is one sentence for a person."""
+    """A source of frames cannot be opened or broke; the message is one sentence for a person."""

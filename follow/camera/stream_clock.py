@@ -1,17 +1,17 @@
-"""A stream's own time stamps seen from our clock: when was this picture taken, in our time?"""
+"""A stream's own time stamps seen from our clock: when a frame was taken, in our time."""
 
 from collections import deque
 
 from follow.messages import NEVER
 
-SETTLE_S = 1.0  # FFmpeg keeps what comes while it studies a stream and gives it first: 1.1 s of it were read in 0.3 s
-WINDOW_S = 10.0  # a stream that is later than it was for this long is late no more: its way has become longer
+SETTLE_S = 1.0  # FFmpeg buffers a stream while it probes it: 1.1 s of frames were then read in 0.3 s
+WINDOW_S = 10.0  # a stream later than before for this long has a longer path: no longer late
 
 
 class StreamClock:
-    """Maps a stream's own time stamps to ours by the picture that came soonest after its stamp.
+    """Maps a stream's own time stamps to ours by the frame that came soonest after its stamp.
 
-    What every picture needs (exposure, encoding, the way) cannot be told from here; what one came later than the others
+    What every frame needs (exposure, encoding, the way) cannot be told from here; what one came later than the others
     can, as those that pile up while a network stalls and then come at once.
     """
 
@@ -21,9 +21,9 @@ class StreamClock:
         self._delays: deque[tuple[float, float]] = deque()  # arrival, and time since the stamp; both grow from left
 
     def taken_at(self, stamp_s: float, t_s: float) -> float | None:
-        """Our time of a picture stamped `stamp_s` that came at `t_s`; None for the first second's, which waited."""
+        """Our time of a frame stamped `stamp_s` that came at `t_s`; None for the first second's, which waited."""
         if stamp_s <= self._stamp_s:
-            self._delays.clear()  # its clock began anew, or stands still: then there is none
+            self._delays.clear()  # the sender's clock restarted or stopped: earlier stamps say nothing
         self._stamp_s = stamp_s
         delay_s = t_s - stamp_s
         while self._delays and self._delays[-1][1] >= delay_s:

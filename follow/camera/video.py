@@ -1,9 +1,9 @@
-"""Cameras that read pictures: an image folder or a video file (replayed), a device or a network stream (live).
+"""Cameras that read frames: an image folder or a video file (replayed), a device or a network stream (live).
 
-A replayed source is played round by round: round `n` is the picture of time `n / fps`, and a picture that is missing
+A replayed source is played round by round: round `n` is the frame of time `n / fps`, and a frame that is missing
 or cannot be decoded is a round without one, so that time and annotation rows stay in step with what was filmed.
-A live source keeps only its newest picture; a thread at the edge reads it.  A device's picture bears the time at which
-it came; a stream's that of its stamp, so that pictures which piled up on the way are not taken for new.
+A live source keeps only its newest frame; a thread at the edge reads it.  A device's frame bears the time at which
+it came; a stream's that of its stamp, so that frames which piled up on the way are not taken for new ones.
 """
 
 import os
@@ -26,15 +26,13 @@ from follow.messages import Frame, Notify
 from racf.imagefolder import IMAGE_SUFFIXES, image_paths, positions
 
 FOLDER_FPS = 30.0  # image folders seldom say; the commonest rate of the published UAV sequences
-LONGEST_GAP_S = 10.0  # a longer hole in numbers or time stamps is a cut, not lost pictures
-DECODE_ATTEMPTS = 64  # failed reads in a row after which a file is taken to have ended: two seconds at 30 pictures/s
+LONGEST_GAP_S = 10.0  # a longer hole in numbers or time stamps is a cut, not lost frames
+DECODE_ATTEMPTS = 64  # failed reads in a row after which a file is taken to have ended: two seconds at 30 frames/s
 STAMPED = ("rtsp://", "rtsps://", "udp://", "srt://")  # stamped by the sender; HTTP's stamps may be made up on arrival
 ROUND_S = 1 / 20  # live: a round at least this often; PX4 drops OFFBOARD below 2 Hz, 20 Hz is MAVLink's usual rate
 REOPEN_AFTER_S = 1.0  # live: pause before a broken stream is tried again
-OPEN_S = 10.0  # live: a stream that does not begin within this is not there; OpenCV's own patience is 30 s ...
-SILENT_S = 2.0  # ... and so it is for a sender that died; the gate has stopped by then (0.2 s and 1 s)
-
-"""Takes one line for a person; nothing is raised, the flight goes on."""
+OPEN_S = 10.0  # live: connection timeout (OpenCV's default is 30 s)
+SILENT_S = 2.0  # live: read timeout for a sender that died; the gate has stopped by then (0.2 s and 1 s)
 
 
 class ReplayCamera(Camera, Protocol):
@@ -45,14 +43,14 @@ class ReplayCamera(Camera, Protocol):
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of its pictures."""
+        """Width and height of its frames."""
         ...
 
 
 def open_replay(source: str, fps: float | None, report: Notify) -> ReplayCamera:
     """Open an image folder or a video file; `fps` overrides what the source says.  Raises CameraError."""
     if fps is not None and not 0 < fps <= 1000:
-        raise CameraError(f"pictures per second must lie in 0..1000, not {fps:g}")
+        raise CameraError(f"frames per second must lie in 0..1000, not {fps:g}")
     path = Path(source)
     if path.is_dir():
         return ImageFolder(path, fps or named_fps(path) or FOLDER_FPS, report)
@@ -62,7 +60,7 @@ def open_replay(source: str, fps: float | None, report: Notify) -> ReplayCamera:
 
 
 def named_fps(folder: Path) -> float | None:
-    """The rate that a folder's path tells, as in UAV123_10fps/building5; None where it tells none."""
+    """The rate that a folder's path tells, as in UAV123_10fps/building5; None if it tells no rate."""
     told = re.findall(r"(?<![0-9])([1-9][0-9]{0,2}) ?fps", str(folder.resolve()), re.IGNORECASE)
     return float(told[-1]) if told else None
 
@@ -88,7 +86,7 @@ class _Closing:
 
 
 class ImageFolder(_Closing):
-    """The images of a folder in natural order; a hole in their numbers is rounds without a picture."""
+    """The images of a folder in natural order; a hole in their numbers is rounds without a frame."""
 
     def __init__(self, folder: Path, fps: float, report: Notify) -> None:
         paths = image_paths(folder)
@@ -101,7 +99,7 @@ class ImageFolder(_Closing):
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of the first picture that can be decoded.  Raises CameraError when none can."""
+        """Width and height of the first frame that can be decoded.  Raises CameraError when none can."""
         for path in self._slots.values():
             image = cv2.imread(str(path), cv2.IMREAD_COLOR)
             if image is not None:
@@ -109,7 +107,7 @@ class ImageFolder(_Closing):
         raise CameraError(f"none of the {len(self._slots)} images can be decoded")
 
     def frames(self) -> Iterator[Frame | None]:
-        """Yield each picture, or None where one is missing, unreadable or of another size."""
+        """Yield each frame, or None where one is missing, unreadable or of another size."""
         shape = None
         gap = 0
         for n in range(max(self._slots) + 1):
@@ -120,7 +118,7 @@ class ImageFolder(_Closing):
                 continue
             if gap:
                 self._report(
-                    f"{gap} picture{'s are' if gap > 1 else ' is'} missing before {path.name}: played as a pause"
+                    f"{gap} frame{'s are' if gap > 1 else ' is'} missing before {path.name}: played as a pause"
                 )
                 gap = 0
             image = cv2.imread(str(path), cv2.IMREAD_COLOR)
@@ -128,7 +126,7 @@ class ImageFolder(_Closing):
                 self._report(f"{path.name} cannot be decoded: skipped")
                 yield None
             elif shape not in (None, image.shape):
-                self._report(f"{path.name} is {_size(image.shape)}, not {_size(shape)} like the first picture: skipped")
+                self._report(f"{path.name} is {_size(image.shape)}, not {_size(shape)} like the first frame: skipped")
                 yield None
             else:
                 shape = image.shape
@@ -136,7 +134,7 @@ class ImageFolder(_Closing):
 
 
 class VideoFile(_Closing):
-    """A video file; a picture that does not decode is a round without one."""
+    """A video file; a frame that does not decode is a round without one."""
 
     def __init__(self, path: Path, fps: float | None, report: Notify) -> None:
         _hush_decoders()
@@ -161,29 +159,27 @@ class VideoFile(_Closing):
         self._video.release()
 
     def frames(self) -> Iterator[Frame | None]:
-        """Yield each picture in the round that its time stamp says, None for those lost before it."""
+        """Yield each frame in the round that its time stamp says, None for those lost before it."""
         expected, shift, shape = 0, 0, None
         while (image := self._next()) is not None:
             stamp = round(self._video.get(cv2.CAP_PROP_POS_MSEC) / 1000 * self._file_fps) - shift
             lost = max(stamp - expected, 0)
             if lost > LONGEST_GAP_S * self._file_fps:
-                self._report(
-                    f"{self._path.name}: time jumps by {lost / self._file_fps:.0f} s at picture {expected}: cut"
-                )
+                self._report(f"{self._path.name}: time jumps by {lost / self._file_fps:.0f} s at frame {expected}: cut")
                 shift, lost = shift + lost, 0
             if lost:
-                self._report(f"{self._path.name}: {lost} pictures lost or corrupt before picture {expected + lost}")
+                self._report(f"{self._path.name}: {lost} frames lost or corrupt before frame {expected + lost}")
                 yield from (None for _ in range(lost))
             n = expected + lost
             expected = n + 1
             shape = shape or image.shape
             if image.shape != shape:
-                self._report(f"{self._path.name}: picture {n} is {_size(image.shape)}, not {_size(shape)}: skipped")
+                self._report(f"{self._path.name}: frame {n} is {_size(image.shape)}, not {_size(shape)}: skipped")
                 yield None
             else:
                 yield Frame(_bytes(image), n / self.fps, n)
         if self.rounds is not None and expected < self.rounds:
-            self._report(f"{self._path.name} ended after {expected} of {self.rounds} pictures")
+            self._report(f"{self._path.name} ended after {expected} of {self.rounds} frames")
 
     def _next(self) -> NDArray[np.generic] | None:
         for _ in range(DECODE_ATTEMPTS):
@@ -194,11 +190,11 @@ class VideoFile(_Closing):
 
 
 class LiveVideo(_Closing):
-    """A device or stream.  A thread reads it; only the newest picture is kept, with the time at which it came.
+    """A device or stream.  A thread reads it; only the newest frame is kept, with the time at which it came.
 
-    Where a stream bears stamps it is the time at which the picture would have come had nothing held it up.  `delay_s`,
-    which exposure, encoding and the way take of every picture, is taken off.
-    `size` is the width and height of its pictures, as it says itself.
+    Where a stream bears stamps it is the time at which the frame would have come had nothing held it up.  `delay_s`,
+    which exposure, encoding and the way take of every frame, is taken off.
+    `size` is the width and height of its frames, as it says itself.
     """
 
     def __init__(
@@ -213,7 +209,7 @@ class LiveVideo(_Closing):
         if not self._video.isOpened():
             raise CameraError(f"camera {source!r} cannot be opened")
         self.size = int(self._video.get(cv2.CAP_PROP_FRAME_WIDTH)), int(self._video.get(cv2.CAP_PROP_FRAME_HEIGHT))
-        self._sized = f"{self.size[0]}x{self.size[1]}"  # the lens is known for pictures of this size
+        self._sized = f"{self.size[0]}x{self.size[1]}"  # the lens is known for frames of this size
         self._fresh = threading.Condition()
         self._newest: Frame | None = None
         self._closing = threading.Event()
@@ -226,7 +222,7 @@ class LiveVideo(_Closing):
         self._reader.join(timeout=1.0)
 
     def frames(self) -> Iterator[Frame | None]:
-        """Yield the newest picture as soon as it is there, or None when a round passes without one; never ends."""
+        """Yield the newest frame as soon as it is there, or None when a round passes without one; never ends."""
         while not self._closing.is_set():
             with self._fresh:
                 self._fresh.wait_for(lambda: self._newest is not None, timeout=ROUND_S)
@@ -237,11 +233,11 @@ class LiveVideo(_Closing):
         if "://" in self._source:
             how = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, int(1e3 * OPEN_S)]
             how += [cv2.CAP_PROP_READ_TIMEOUT_MSEC, int(1e3 * SILENT_S)]
-            # Each thread more holds a picture back: H.264 at 30 pictures/s came 72 ms late instead of 106 with two.
+            # Each thread more holds a frame back: H.264 at 30 frames/s came 72 ms late instead of 106 with two.
             how += [cv2.CAP_PROP_N_THREADS, 1]
             return cv2.VideoCapture(self._source, cv2.CAP_FFMPEG, how)
         video = cv2.VideoCapture(int(self._source) if self._source.isdigit() else self._source)
-        video.set(cv2.CAP_PROP_BUFFERSIZE, 1)  # where the driver obeys: no queue of old pictures
+        video.set(cv2.CAP_PROP_BUFFERSIZE, 1)  # where the driver obeys: no queue of old frames
         return video
 
     def _read(self) -> None:
@@ -256,7 +252,7 @@ class LiveVideo(_Closing):
                 continue
             if good:
                 if broken:
-                    self._report(f"camera {self._source!r} gives pictures again")
+                    self._report(f"camera {self._source!r} gives frames again")
                 broken = False
                 t_s = self._clock()
                 if self._source.startswith(STAMPED):
@@ -268,7 +264,7 @@ class LiveVideo(_Closing):
                 index += 1
                 continue
             if not broken:
-                self._report(f"camera {self._source!r} gives no picture: trying again every {REOPEN_AFTER_S:g} s")
+                self._report(f"camera {self._source!r} gives no frame: trying again every {REOPEN_AFTER_S:g} s")
             broken = True
             self._video.release()
             if not self._closing.wait(REOPEN_AFTER_S):
@@ -284,7 +280,7 @@ def _hush_decoders() -> None:
 
 def _bytes(image: NDArray[np.generic]) -> NDArray[np.uint8]:
     if image.dtype != np.uint8:
-        raise CameraError(f"pictures must be 8 bit, not {image.dtype}")
+        raise CameraError(f"frames must be 8 bit, not {image.dtype}")
     return image.view(np.uint8)
 
 

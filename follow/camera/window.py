@@ -1,4 +1,4 @@
-"""A virtual camera over footage: a window of each picture that the vehicle's yaw and height move."""
+"""A virtual camera over footage: a window of each frame that the vehicle's yaw and height move."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -16,7 +16,7 @@ from racf.box import Box
 
 
 class WindowCamera:
-    """A window of another camera's pictures, turned by the vehicle's yaw and shifted by its height.
+    """A window of another camera's frames, turned by the vehicle's yaw and shifted by its height.
 
     `full` describes the footage's camera; the window has its focal length and shows `window` pixels around
     `start` (x, y) when the vehicle is where it began.  A change of height by h shifts the view by h / `range_m`
@@ -45,7 +45,7 @@ class WindowCamera:
         return Intrinsics(w, h, self._full.fx, self._full.fy, w / 2, h / 2)
 
     def frames(self) -> Iterator[Frame | None]:
-        """Yield the window of each picture; `window` then says where in the picture it lies."""
+        """Yield the window of each frame; `window` then says where in the frame it lies."""
         for frame in self._camera.frames():
             self.window = self._place()
             yield frame and replace(frame, image=cut(frame.image, self.window))

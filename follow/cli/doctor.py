@@ -22,7 +22,7 @@ from follow.messages import Frame
 from follow.operator.terminal import Terminal
 from racf.box import Box
 
-BOX_SHARE = 6  # the timed target is a sixth of the picture's height, as a person some 10 m away is
+BOX_SHARE = 6  # the timed target is a sixth of the image's height, as a person some 10 m away is
 
 
 def diagnose(command: DoctorCommand) -> None:
@@ -50,7 +50,7 @@ def diagnose(command: DoctorCommand) -> None:
 
 
 def look(source: str, tracker: str, out: Path, terminal: Terminal) -> list[Finding]:
-    """The camera, and the tracker on its pictures; the first of them is left in `out`, to read a target's box off."""
+    """The camera, and the tracker on its frames; the first of them is left in `out`, to read a target's box off."""
     kept: list[Frame] = []
     live = is_live(source)
     try:
@@ -62,9 +62,9 @@ def look(source: str, tracker: str, out: Path, terminal: Terminal) -> list[Findi
         rows, columns = kept[0].image.shape[:2]
         out.mkdir(parents=True, exist_ok=True)
         cv2.imwrite(str(out / "camera.png"), kept[0].image)
-        terminal.report(f"{columns}x{rows} pictures, the first is in {out / 'camera.png'}")
+        terminal.report(f"{columns}x{rows} frames, the first is in {out / 'camera.png'}")
         timed = acquire(tracker, Box.around(columns / 2, rows / 2, rows / BOX_SHARE, rows / BOX_SHARE))
-        timed.update(kept[0].image)  # its first picture starts it
+        timed.update(kept[0].image)  # its first frame starts it
         fps = (len(kept) - 1) / (kept[-1].t_s - kept[0].t_s)
         findings.append(doctor.check_tracker(timed.update, kept[1:], fps))
     return findings

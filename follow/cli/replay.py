@@ -38,7 +38,7 @@ def replay(command: ReplayCommand) -> None:
     terminal = Terminal()
     config = command.config
     footage = open_replay(command.source, command.fps, terminal.report)
-    about = f"# follow replay {command.source}\n\ntracker {command.tracker}, {footage.fps:g} pictures/s"
+    about = f"# follow replay {command.source}\n\ntracker {command.tracker}, {footage.fps:g} frames/s"
     with footage, Recorder(command.out, config.record, terminal.report, waits=True, about=about) as recorder:
         terminal.listeners.append(recorder.message)
         link = ReplayLink(footage.fps, REPLAY_HEIGHT_M, command.autopilot, holds_place=command.ptz)
@@ -72,6 +72,6 @@ def windowed(footage: ReplayCamera, link: ReplayLink, target: Box, config: Confi
     width, height = footage.size
     lens = config.camera.intrinsics(width, height)
     window = (width // PTZ_SHARE, height // PTZ_SHARE)
-    # As far away as flat ground is in the middle of the picture: so far a climb moves the view.
+    # As far away as flat ground is in the middle of the image: so far a climb moves the view.
     range_m = REPLAY_HEIGHT_M / max(math.sin(config.camera.down_rad), 0.1)
     return WindowCamera(footage, link.state, lens, window, (target.centre_x, target.centre_y), range_m)

@@ -69,7 +69,7 @@ def open_camera(command: RunCommand, link: Link, report: Notify) -> OpenCamera:
 
 
 def open_scene(command: RunCommand, link: Link, drawn: CameraConfig | None = None) -> OpenCamera:
-    """A drawn scene of as long a flight as is asked for, with its own target when no other is named.
+    """A drawn scene, long enough for the flight, with its own target unless the command names another.
 
     `drawn` is the camera that is drawn where it is not the one that is believed: for tests of a wrong mount.
     """
@@ -105,7 +105,7 @@ def fly_live(command: RunCommand) -> None:
     """`follow run`."""
     check(command)
     terminal = Terminal()
-    early: list[str] = []  # what is said before there is a recording
+    early: list[str] = []  # lines reported before the recording exists
     terminal.listeners.append(early.append)
     # Until there is a flight to order, the signal must not do what it does by default: kill.
     signal.signal(signal.SIGUSR1, lambda _number, _frame: terminal.report("not ready yet: SIGUSR1 orders nothing"))

@@ -30,7 +30,7 @@ STILL = ("--servo.yaw.kp", "0", "--servo.climb.kp", "0", "--servo.feed-forward",
 
 @pytest.fixture(scope="module")
 def footage(tmp_path_factory) -> Path:
-    """Thirty pictures as a video, and the walker's true boxes beside it."""
+    """Thirty frames as a video, and the walker's true boxes beside it."""
     path = tmp_path_factory.mktemp("clip") / "clip.mp4"
     write(path, 30)
     return path
@@ -72,20 +72,20 @@ def test_replay_twice_gives_the_same_bytes(capfd, footage, tmp_path):
 
 
 def test_a_folder_with_a_gap_and_a_broken_image_is_flown_to_its_end(capfd, tmp_path):
-    pictures = tmp_path / "pictures"
-    pictures.mkdir()
+    frames = tmp_path / "frames"
+    frames.mkdir()
     for n, (image, box) in enumerate(clip(20)):
         if n == 0:
             start = str(box)
         if n not in (7, 8):
-            cv2.imwrite(str(pictures / f"{n:04d}.jpg"), image)
-    (pictures / "0012.jpg").write_bytes(b"\xff\xd8 not a picture")
-    status, out, err = follow(capfd, "replay", pictures, "--target", start, "--out", tmp_path / "out", "--json")
+            cv2.imwrite(str(frames / f"{n:04d}.jpg"), image)
+    (frames / "0012.jpg").write_bytes(b"\xff\xd8 not a frame")
+    status, out, err = follow(capfd, "replay", frames, "--target", start, "--out", tmp_path / "out", "--json")
     assert status == 0
     assert json.loads(out)["frames"] == 17
     assert lines_of(tmp_path / "out") == 20
     assert err.count("\n") == 3
-    assert "2 pictures are missing before 0009.jpg" in err
+    assert "2 frames are missing before 0009.jpg" in err
     assert "0012.jpg cannot be decoded" in err
 
 

@@ -24,21 +24,21 @@ from tests.support.machine import LateError, against_the_clock
 from tests.support.real_flight import free_ports
 
 
-def picture(n: int, size=(48, 32)) -> np.ndarray:
-    """A picture that says its number: grey level 4 n (mod 256)."""
+def frame(n: int, size=(48, 32)) -> np.ndarray:
+    """A frame that says its number: grey level 4 n (mod 256)."""
     return np.full((size[1], size[0], 3), 4 * n % 256, np.uint8)
 
 
 def folder_of(tmp_path: Path, numbers, name="{:03d}.png") -> Path:
     for n in numbers:
-        cv2.imwrite(str(tmp_path / name.format(n)), picture(n))
+        cv2.imwrite(str(tmp_path / name.format(n)), frame(n))
     return tmp_path
 
 
 def video_of(path: Path, count: int) -> Path:
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 30, (48, 32))
     for n in range(count):
-        writer.write(picture(n))
+        writer.write(frame(n))
     writer.release()
     return path
 
@@ -77,7 +77,7 @@ def test_the_rate_that_a_folders_path_tells_counts_from_within_it_too(tmp_path, 
 def test_a_hole_in_the_numbers_is_rounds_without_a_picture_and_one_line(tmp_path):
     frames, lines = play(folder_of(tmp_path, (1, 2, 3, 6, 7)))
     assert [f is None for f in frames] == [False, False, False, True, True, False, False]
-    assert lines == ["2 pictures are missing before 006.png: played as a pause"]
+    assert lines == ["2 frames are missing before 006.png: played as a pause"]
     assert [f.index for f in frames if f] == [0, 1, 2, 5, 6]
 
 
@@ -89,7 +89,7 @@ def test_numbers_that_do_not_count_pictures_are_only_an_order(tmp_path):
 
 def test_an_image_that_cannot_be_decoded_is_skipped_with_one_line(tmp_path):
     folder_of(tmp_path, range(4))
-    (tmp_path / "002.png").write_bytes(b"no picture")
+    (tmp_path / "002.png").write_bytes(b"no frame")
     frames, lines = play(tmp_path)
     assert [f is None for f in frames] == [False, False, True, False]
     assert lines == ["002.png cannot be decoded: skipped"]
@@ -97,10 +97,10 @@ def test_an_image_that_cannot_be_decoded_is_skipped_with_one_line(tmp_path):
 
 def test_an_image_of_another_size_is_skipped_with_one_line(tmp_path):
     folder_of(tmp_path, range(3))
-    cv2.imwrite(str(tmp_path / "001.png"), picture(1, (20, 20)))
+    cv2.imwrite(str(tmp_path / "001.png"), frame(1, (20, 20)))
     frames, lines = play(tmp_path)
     assert [f is None for f in frames] == [False, True, False]
-    assert lines == ["001.png is 20x20, not 48x32 like the first picture: skipped"]
+    assert lines == ["001.png is 20x20, not 48x32 like the first frame: skipped"]
 
 
 def test_every_picture_of_a_video_comes_in_its_own_round(tmp_path):
@@ -139,7 +139,7 @@ def test_a_video_that_ends_early_says_so_in_one_line(tmp_path):
     frames, lines = play(path)
     assert 10 < len(frames) < 40
     assert len(lines) == 1
-    assert "of 40 pictures" in lines[0]
+    assert "of 40 frames" in lines[0]
 
 
 @pytest.mark.parametrize("make", [lambda p: p / "nothing", lambda p: p, lambda p: p / "text.mp4"])
@@ -161,7 +161,7 @@ def test_a_rate_that_is_no_rate_is_refused(tmp_path, fps):
 
 def test_devices_and_streams_are_live_and_files_are_not():
     assert all(map(is_live, ("0", "/dev/video2", "rtsp://drone/1", "udp://:5600")))
-    assert not any(map(is_live, ("clip.mp4", "pictures", "./0")))
+    assert not any(map(is_live, ("clip.mp4", "frames", "./0")))
 
 
 class Clip(BaseHTTPRequestHandler):
@@ -196,7 +196,7 @@ class ClipServer(ThreadingHTTPServer):
 
 @pytest.fixture
 def stream(tmp_path):
-    """Builds servers of forty pictures, which are ended afterwards."""
+    """Builds servers of forty frames, which are ended afterwards."""
     path = tmp_path / "clip.avi"
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 30, (160, 120))
     for n in range(40):
@@ -234,12 +234,12 @@ def test_a_stream_that_ends_is_reported_once_and_opened_again(stream):
         rounds = watched(camera, lambda: len(lines) >= 2)
         frames = [frame for frame in rounds if frame is not None]
         assert lines[:2] == [
-            f"camera {uri!r} gives no picture: trying again every 1 s",
-            f"camera {uri!r} gives pictures again",
+            f"camera {uri!r} gives no frame: trying again every 1 s",
+            f"camera {uri!r} gives frames again",
         ]
         assert [f.index for f in frames] == sorted({f.index for f in frames})
         assert all(b.t_s > a.t_s for a, b in itertools.pairwise(frames))
-        assert None in rounds, "the loop goes on while there is no picture"
+        assert None in rounds, "the loop goes on while there is no frame"
 
 
 @pytest.mark.realtime
@@ -264,7 +264,7 @@ def test_a_sender_that_falls_silent_is_reported_within_the_patience(stream, monk
         assert sum(frame is not None for frame in rounds) >= 1
         longest = max(len(list(run)) for there, run in itertools.groupby(rounds, key=lambda f: f is None) if there)
         with against_the_clock():
-            assert longest >= 5, "a round every 50 ms, picture or not: the gate sees the picture grow old"
+            assert longest >= 5, "a round every 50 ms, frame or not: the gate sees the frame grow old"
 
 
 def test_the_delay_that_a_camera_is_known_to_have_is_taken_off_and_granted_by_the_gate(stream):
@@ -289,7 +289,7 @@ def test_a_stream_that_nobody_sends_is_refused_in_one_sentence(stream):
 
 
 def send(writer: cv2.VideoWriter, began_t_s: float, stall: tuple[int, float], ending: threading.Event) -> None:
-    """Thirty pictures a second, each with its number; before one the network stalls, and then brings all."""
+    """Thirty frames a second, each with its number; before one the network stalls, and then brings all."""
     rng = np.random.default_rng(0)
     for n in itertools.count():
         if ending.wait(max(began_t_s + n / 30 - time.monotonic(), stall[1] if n == stall[0] else 0.0)):
@@ -307,10 +307,10 @@ def number_in(frame: Frame) -> int:
 
 @pytest.mark.realtime
 def test_pictures_that_a_network_held_up_bear_the_time_at_which_they_were_taken():
-    """The referee is the number in the picture; what the decoder holds back is the same for all."""
+    """The referee is the number in the frame; what the decoder holds back is the same for all."""
     uri, ending = f"udp://127.0.0.1:{free_ports(1)[0]}", threading.Event()
     # OpenCV opens one of these at a time: the sender must be there before the camera waits for it.
-    mpeg_ts = cv2.VideoWriter(f"{uri}/pictures.ts", cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"mp4v"), 30, (320, 240))
+    mpeg_ts = cv2.VideoWriter(f"{uri}/frames.ts", cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"mp4v"), 30, (320, 240))
     began_t_s = time.monotonic()
     sender = threading.Thread(target=send, args=(mpeg_ts, began_t_s, (120, 1.0), ending))
     sender.start()
@@ -330,7 +330,7 @@ def test_pictures_that_a_network_held_up_bear_the_time_at_which_they_were_taken(
 
 
 class Resized:
-    """A capture whose pictures have another size after the tenth, as after a camera's driver was restarted."""
+    """A capture whose frames have another size after the tenth, as after a camera's driver was restarted."""
 
     def __init__(self) -> None:
         self.count = 0
