@@ -59,6 +59,21 @@ def test_every_make_word_of_the_readme_exists(words):
     assert set(words) <= set(targets)
 
 
+@pytest.mark.parametrize("words", [w for w in commands("follow") if w[0] == "sim"], ids=" ".join)
+def test_the_simulated_flights_of_the_readme_fly(words, tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(SCENARIOS, words[1], replace(SCENARIOS[words[1]], duration_s=1.0))
+    assert main([*words, "--json"]) == 0
+    assert json.loads(capfd.readouterr().out)["scenario"] == words[1]
+
+
+def test_the_recording_of_the_readme_is_the_one_that_make_demo_leaves():
+    demo = re.search(r"^demo:.*\n\t(.*)$", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    assert demo is not None
+    (inspected,) = [words[1] for words in commands("follow") if words[0] == "inspect"]
+    assert shlex.split(demo[1])[-2:] == ["--out", inspected]
+
+
 @pytest.mark.parametrize("words", [w for w in commands("follow") if w[0] == "replay"], ids=" ".join)
 def test_the_footage_commands_of_the_readme_run(words, tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
@@ -93,6 +108,7 @@ def test_the_loop_of_the_readme_flies():
     assert ticks[-1].decision.mode == "follow"
 
 
-def test_the_picture_and_the_pages_of_the_readme_are_there():
+def test_the_images_and_the_pages_of_the_readme_are_there():
     for path in re.findall(r"\]\(((?!https?:)[^)#]+)", README):
-        assert (ROOT / path).is_file(), path
+        assert (ROOT / path).exists(), path
+    assert (ROOT / "docs/flight.gif").stat().st_size < 3e6
