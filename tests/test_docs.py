@@ -8,6 +8,7 @@ import pytest
 
 from follow.config import PRESETS, TargetKind
 from follow.flight.parameters import PARAMETERS
+from follow.messages import Cause
 from follow.recording.rows import COLUMNS
 from follow.recording.summary import Figures
 from tools.docs.geometry import height_m
@@ -22,7 +23,7 @@ def table(page: str, heading: str) -> list[list[str]]:
     """The cells of the rows of every table below a heading."""
     section = page.split(f"\n## {heading}\n")[1].split("\n## ", maxsplit=1)[0]
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in section.splitlines() if line[:2] == "| "]
-    return [row for row in rows if row[0] not in ("column", "field", "message", "note", "file")]
+    return [row for row in rows if row[0] not in ("column", "field", "message", "note", "file", "reason")]
 
 
 def names(cells: list[str]) -> list[str]:
@@ -48,6 +49,13 @@ def spoken() -> str:
             elif isinstance(node, ast.Constant) and isinstance(node.value, str):
                 strings.append(re.sub(r"%\w", "…", node.value))
     return "\n".join(" ".join(string.split()) for string in strings)
+
+
+def test_every_reason_is_described_once():
+    described = [" ".join(reason.split("…")) for reason in names([row[0] for row in table(AFTER, "Reasons")])]
+    sentences = {re.sub(r"\{[^}]*\}", " ", cause.value) for cause in Cause}
+    assert set(described) == {sentence for sentence in sentences if sentence.strip()}
+    assert len(described) == len(set(described))
 
 
 def test_every_message_of_the_page_is_one_that_the_program_gives():

@@ -169,7 +169,9 @@ class Recorder:
 
         recording: RerunRecording | None = None
         if self._config.pictures:
-            recording = RerunRecording(self._flight, self._about, self._config.jpeg_quality)
+            tells_modes = self._clock is None  # in a live flight the operator's side reports each change of mode
+            quality = self._config.jpeg_quality
+            recording = RerunRecording(self._flight, self._about, quality, tells_modes=tells_modes)
         going = True
         while going:
             texts, scene, said, going = self._next()

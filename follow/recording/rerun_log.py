@@ -13,7 +13,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
-from follow.messages import NEVER, Mode, Setpoint, Tick
+from follow.messages import NEVER, Cause, Mode, Setpoint, Tick
 from follow.recording.rows import LoggedTick
 from racf.box import Box
 from racf.track import Track
@@ -35,21 +35,25 @@ MODE_COLOURS = {
     Mode.BRAKE: RED,
     Mode.ENDED: GREY,
 }
+TIMED = re.compile(r"\d+\.\d s: ")  # a message that states the time of the flight itself
 NUMBER = re.compile(r"-?\d+(\.\d+)?")
 
 
 class RerunRecording:
     """A Rerun recording in a file; use it from one thread.
 
+    `tells_modes` logs each change of mode with its reason as a message; without it the caller's messages do that.
     `flush` and `close` raise OSError if it cannot be written.
     """
 
-    def __init__(self, path: Path, about: str, jpeg_quality: int) -> None:
+    def __init__(self, path: Path, about: str, jpeg_quality: int, *, tells_modes: bool = True) -> None:
         self._path = path
+        self._tells_modes = tells_modes
         self._jpeg = [int(cv2.IMWRITE_JPEG_QUALITY), jpeg_quality]
         self._recording = rr.RecordingStream("follow-me")
         self._recording.save(path, default_blueprint=layout())
         self._mode = ""
+        self._cause: Cause | None = None
         self._found: bool | None = None
         self._notes: frozenset[str] = frozenset()
         self._shown: set[str] = set()
@@ -67,10 +71,7 @@ class RerunRecording:
             self._track(tick.track)
         self._box("image/truth", scene.truth, YELLOW, "truth")
         self._controls(tick)
-        if tick.decision.mode != self._mode:
-            self._mode = tick.decision.mode.value
-            self._recording.log("mode", rr.StateChange(state=self._mode))
-            self._say(scene.t_s, f"mode {self._mode}", rr.TextLogLevel.INFO)
+        self._new_mode(scene)
         self._new_notes(scene)
 
     def message(self, t_s: float, text: str) -> None:
@@ -97,6 +98,15 @@ class RerunRecording:
         finally:
             self._recording.disconnect()
 
+    def _new_mode(self, scene: LoggedTick) -> None:
+        """Log a new mode, and a new cause for it."""
+        mode, reason = scene.tick.decision.mode.value, scene.tick.decision.reason
+        if mode != self._mode:
+            self._recording.log("mode", rr.StateChange(state=mode))
+        if self._tells_modes and (mode, reason.cause) != (self._mode, self._cause):
+            self._say(scene.t_s, f"{mode}: {reason}", rr.TextLogLevel.INFO)
+        self._mode, self._cause = mode, reason.cause
+
     def _new_notes(self, scene: LoggedTick) -> None:
         """Log the gate's notes that the tick before did not have; a number that changes does not make a note new."""
         notes = {NUMBER.sub("#", note): note for note in scene.tick.decision.notes}
@@ -106,7 +116,8 @@ class RerunRecording:
         self._notes = frozenset(notes)
 
     def _say(self, t_s: float, text: str, level: str) -> None:
-        self._recording.log("messages", rr.TextLog(f"{t_s:.1f} s  {text}", level=level))
+        line = text if TIMED.match(text) else f"{t_s:.1f} s: {text}"
+        self._recording.log("messages", rr.TextLog(line, level=level))
 
     def _track(self, track: Track) -> None:
         log = self._recording.log

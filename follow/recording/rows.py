@@ -33,7 +33,7 @@ COLUMNS = (
     "target_contradiction",
     *(f"desired_{name}" for name in _SETPOINT),
     *(f"setpoint_{name}" for name in _SETPOINT),
-    *("mode", "notes"),
+    *("mode", "reason", "notes"),
 )
 
 
@@ -68,7 +68,7 @@ def row(n: int, tick: Tick, start_s: float = 0.0, started_unix_s: float | None =
         _word(tick.estimate.contradiction),
         *_values(tick.desired, _SETPOINT),
         *(_values(tick.decision.setpoint, _SETPOINT) if tick.decision.setpoint else [""] * len(_SETPOINT)),
-        *(_word(tick.decision.mode.value), _word("; ".join(tick.decision.notes))),
+        *(_word(tick.decision.mode.value), _word(str(tick.decision.reason)), _word("; ".join(tick.decision.notes))),
     )
     return ",".join(cells) + "\n"
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from follow.messages import NEVER, Decision, Estimate, Frame, Mode, Setpoint, Tick, VehicleState
+from follow.messages import NEVER, Cause, Decision, Estimate, Frame, Mode, Reason, Setpoint, Tick, VehicleState
 from follow.recording.recorder import RecordConfig, Recorder, set_aside
 from follow.recording.rows import COLUMNS, row
 from follow.recording.summary import Summary
@@ -61,7 +61,18 @@ def test_every_tick_is_a_row_that_any_reader_of_csv_reads_back(tmp_path):
 
 
 def test_column_names_carry_their_units():
-    bare = {"tick", "utc", "frame", "mode", "notes", "track_found", "track_refined", "track_confidence", "track_psr"}
+    bare = {
+        "tick",
+        "utc",
+        "frame",
+        "mode",
+        "reason",
+        "notes",
+        "track_found",
+        "track_refined",
+        "track_confidence",
+        "track_psr",
+    }
     bare |= {"track_apce", "vehicle_mode", "vehicle_in_control", "vehicle_armed", "target_contradiction"}
     for name in set(COLUMNS) - bare:
         assert name.endswith(("_s", "_m", "_rad", "_px")), name
@@ -107,10 +118,28 @@ def test_a_note_is_logged_once_however_its_number_changes(monkeypatch):
     recording = rerun_log.RerunRecording(Path("/dev/null"), "", 75)
     notes = [(), *[(f"frame is {0.2 + n / 100:.2f} s old",) for n in range(150)], (), ("frame is 0.50 s old", "fence")]
     for n, lines in enumerate(notes):
-        decision = Decision(None, Mode.BRAKE, lines)
+        decision = Decision(None, Mode.BRAKE, lines, Reason(Cause.STALE, "frame is old"))
         recording.tick(rerun_log.LoggedTick(n, float(n), replace(tick(n), decision=decision)))
     recording.close()
-    assert said == ["0 mode brake", "1 frame is 0.20 s old", "152 frame is 0.50 s old", "152 fence"]
+    assert said == ["0 brake: frame is old", "1 frame is 0.20 s old", "152 frame is 0.50 s old", "152 fence"]
+
+
+def test_every_change_of_mode_is_told_once_with_its_reason(monkeypatch):
+    from follow.recording import rerun_log  # noqa: PLC0415
+
+    said: list[str] = []
+    monkeypatch.setattr(rerun_log.RerunRecording, "_say", lambda _self, _t_s, text, _level: said.append(text))
+    reasons = [Reason(Cause.STARTED), *[Reason(Cause.NOT_SEEN, seconds=n / 10) for n in range(3)], Reason(Cause.SEEN)]
+    modes = [Mode.OBSERVE, Mode.COAST, Mode.COAST, Mode.COAST, Mode.FOLLOW]
+    for tells_modes in (True, False):
+        recording = rerun_log.RerunRecording(Path("/dev/null"), "", 75, tells_modes=tells_modes)
+        for n, (mode, reason) in enumerate(zip(modes, reasons, strict=True)):
+            decided = replace(tick(n), decision=Decision(None, mode, (), reason))
+            recording.tick(rerun_log.LoggedTick(n, float(n), decided))
+        recording.close()
+        expected = ["observe: the program started", "coast: target not seen for 0.0 s", "follow: target seen"]
+        assert said == (expected if tells_modes else [])
+        said.clear()
 
 
 def test_every_mode_has_a_colour_of_its_meaning():
