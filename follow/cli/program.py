@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from follow.camera import CameraError
 from follow.cli.commands import DoctorCommand, ReplayCommand, RunCommand, SimCommand
 from follow.cli.layers import read, settings_of
-from follow.flight.preflight import NotFitError
+from follow.flight.finding import NotFitError
 from follow.link import LinkError
 from racf.commandline import guarded
 

@@ -14,7 +14,9 @@ from typing import Protocol
 
 from follow.camera import Camera
 from follow.camera.realtime import NewPictures
-from follow.flight.preflight import Finding, Health, check_disk, check_signing, check_time, check_vehicle
+from follow.flight.finding import Finding, Health
+from follow.flight.preflight import check_disk, check_time
+from follow.flight.vehicle_checks import check_sending, check_signing, check_simulator, check_vehicle
 from follow.flight.service import Service
 from follow.link import Link
 from follow.link.connection import MavlinkLink

@@ -68,6 +68,11 @@ class MavlinkClient:
         return self._vehicle.system_id
 
     @property
+    def wanted_id(self) -> int | None:
+        """The system id that was chosen, None for the first vehicle heard."""
+        return self._vehicle.wanted_id
+
+    @property
     def heard(self) -> LinkObservations:
         """What else was heard on the link."""
         return self._vehicle.heard

@@ -43,6 +43,7 @@ class Packets:
         self._waiting = bytearray()
         self.unreadable = 0
         self.refused = 0
+        self.unknown = 0  # packets of another dialect, which nothing here reads
         if signing is not None:
             signing.install(self._mav)
 
@@ -71,6 +72,7 @@ class Packets:
                 break
             message = self._decode(buffer[start : start + length]) if length else None
             if message is None:
+                self.unknown += length == 0 and is_foreign(buffer, start)
                 start += 1
                 self.unreadable += 1
             else:
@@ -125,6 +127,15 @@ def packet_length(buffer: bytearray, start: int) -> int | None:
     if flags & ~SIGNED or number not in dialect.mavlink_map:
         return 0
     return payload + HEADER_V2 + CHECKSUM + (SIGNATURE if flags & SIGNED else 0)
+
+
+def is_foreign(buffer: bytearray, start: int) -> bool:
+    """Whether a MAVLink 2 packet of unknown type seems to start here: the next one, or the end, follows right behind."""
+    if buffer[start] != MAGIC_V2 or len(buffer) < start + HEADER_V2 or buffer[start + 2] & ~SIGNED:
+        return False
+    signature = SIGNATURE if buffer[start + 2] & SIGNED else 0
+    end = start + buffer[start + 1] + HEADER_V2 + CHECKSUM + signature
+    return end == len(buffer) or (end < len(buffer) and buffer[end] == MAGIC_V2)
 
 
 def as_bytewise_int(value: float) -> int:

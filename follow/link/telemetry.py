@@ -83,7 +83,7 @@ class TelemetryDecoder:
         self.heard = LinkObservations()
         self.clock = VehicleClock()
         self.watch = SenderWatch()
-        self._wanted_id = system_id
+        self.wanted_id = system_id
         self._origin: tuple[int, int, int] | None = None  # GPS_GLOBAL_ORIGIN: 1e-7 degrees and millimetres
         self._batteries: dict[int, tuple[float, BatteryLevel]] = {}
         self._reset_counter: int | None = None
@@ -116,7 +116,7 @@ class TelemetryDecoder:
         if source[1] != AUTOPILOT or message.type not in MULTIROTORS or message.autopilot not in AUTOPILOTS:
             return
         self.heard.vehicles.add(source[0])
-        if self.system_id is None and self._wanted_id in (None, source[0]):
+        if self.system_id is None and self.wanted_id in (None, source[0]):
             self.system_id = source[0]
             self.state = replace(self.state, autopilot=AUTOPILOTS[message.autopilot])
 

@@ -54,6 +54,7 @@ REPORTED: dict[Autopilot, Table] = {
         "RTL_RETURN_ALT": 60.0,  # m
         "MAV_SYS_ID": 1,
         "SYS_AUTOSTART": 10040,
+        "SIM_BAT_DRAIN": 60.0,  # s
     },
     Autopilot.ARDUPILOT: {
         "GUID_OPTIONS": 0,

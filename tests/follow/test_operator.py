@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import pytest
 
 from follow.flight.live_flight import unwaived
-from follow.flight.preflight import Finding, Health
+from follow.flight.finding import Finding, Health
 from follow.flight.service import Service
 from follow.messages import (
     HOVER,
