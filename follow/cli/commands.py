@@ -114,6 +114,8 @@ class RunCommand:
     """Channel of the remote control whose switch orders FOLLOW (up) and OBSERVE (down). Default: no switch."""
     waive: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """Name of a check of `follow doctor` that may be red. Repeat it for several."""
+    simulated: bool = False
+    """The vehicle is a simulator: a file or a drawn scene may fly it. Not needed on loopback with a known simulator."""
     system_id: int | None = None
     """MAVLink system id of the vehicle, 1 to 255. Default: the first vehicle heard."""
     signing_key: Path | None = None

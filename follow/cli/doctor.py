@@ -13,8 +13,9 @@ from follow.camera import CameraError
 from follow.camera.video import LiveVideo, is_live, open_replay
 from follow.cli.commands import DoctorCommand
 from follow.flight import preflight as doctor
-from follow.flight.preflight import Finding, Health, NotFitError
+from follow.flight.finding import Finding, Health, NotFitError, is_fit, places
 from follow.flight.session import acquire
+from follow.flight.vehicle_checks import check_sending, check_signing, check_vehicle
 from follow.link import LinkError
 from follow.link.connection import connect
 from follow.link.signing import Signing
@@ -42,7 +43,9 @@ def diagnose(command: DoctorCommand) -> None:
     say([doctor.check_disk(command.out), doctor.check_time(command.signing_key is not None, time.time())])
     if command.json:
         sys.stdout.write(json.dumps([asdict(finding) for finding in findings], indent=1) + "\n")
-    if not doctor.is_fit(findings):
+    for place in places(findings):
+        terminal.report(f"param set: {place}")
+    if not is_fit(findings):
         red = ", ".join(finding.name for finding in findings if finding.verdict is Health.RED)
         raise NotFitError(f"not fit to fly: {red}")
     unseen = [f"--{name}" for name in ("camera", "link") if getattr(command, name) is None]
@@ -78,7 +81,8 @@ def listen(uri: str, system_id: int | None, key: Path | None) -> list[Finding]:
         return [Finding("signing", Health.RED, str(error), "chmod 600, and 32 bytes in it")]
     try:
         with connect(uri, system_id, signing=signing) as link:
-            findings = doctor.check_vehicle(link.client, link.listen, time.monotonic)
-            return [*findings, doctor.check_signing(link.client, signing is not None)]
+            findings = check_vehicle(link.client, link.listen, time.monotonic)
+            signed = check_signing(link.client, signing is not None, link.reach)
+            return [*findings, signed, check_sending(link.unsent)]
     except LinkError as error:
         return [Finding("link", Health.RED, str(error), "look at its name, cable and permissions")]

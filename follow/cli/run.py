@@ -20,6 +20,7 @@ from follow.config import CameraConfig, Config, resolve
 from follow.control.acquire import Acquire
 from follow.control.servo import STEEPEST_RAD, Servo, ServoMode
 from follow.control.target import Target
+from follow.flight.finding import Finding
 from follow.flight.live_flight import LogForwarder, Parts, fly, preflight, unwaived
 from follow.flight.session import acquire, conclude
 from follow.geometry import Intrinsics
@@ -101,6 +102,12 @@ def check(command: RunCommand) -> None:
         height_line(command.config)
 
 
+def inspect(command: RunCommand, link: MavlinkLink) -> list[Finding]:
+    """The checks before this flight."""
+    camera, signs = is_live(command.camera), command.signing_key is not None
+    return preflight(link, command.out, signs=signs, live_camera=camera, simulated=command.simulated)
+
+
 def fly_live(command: RunCommand) -> None:
     """`follow run`."""
     check(command)
@@ -118,7 +125,7 @@ def fly_live(command: RunCommand) -> None:
         signing = Signing(command.signing_key) if command.signing_key else None
         starting = recording.enter_context(starting_log(command.out))
         with connect(command.link, command.system_id, signing=signing, tlog=Tlog(starting)) as link:
-            flight = prepare(command, link, signs=signing is not None, report=terminal.report)
+            flight = prepare(command, link, terminal.report)
             recorder = recording.enter_context(begin_recording(command, starting, terminal, early))
             recorder.settings(as_toml(flight.seen.config))
             fly_prepared(command, flight, link, recorder, terminal.report)
@@ -138,12 +145,12 @@ class PreparedFlight:
     red: tuple[str, ...]
 
 
-def prepare(command: RunCommand, link: MavlinkLink, *, signs: bool, report: Notify) -> PreparedFlight:
+def prepare(command: RunCommand, link: MavlinkLink, report: Notify) -> PreparedFlight:
     """Everything that may refuse a flight: vehicle, checks, camera, stand-off, tracker."""
     report(f"waiting up to {VEHICLE_S:g} s for a vehicle on {command.link}")
     link.wait_for_vehicle(VEHICLE_S, report)
     report("vehicle found: measuring its message rates and reading its parameters, some 10 s")
-    red = unwaived(preflight(link, command.out, signs=signs), command.waive, report)
+    red = unwaived(inspect(command, link), command.waive, report)
     seen = open_camera(command, link, report)
     tracker = acquire(command.tracker, seen.target)
     if line := height_line(seen.config):

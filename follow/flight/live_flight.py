@@ -16,8 +16,8 @@ from follow.camera import Camera
 from follow.camera.realtime import NewPictures
 from follow.flight.finding import Finding, Health
 from follow.flight.preflight import check_disk, check_time
-from follow.flight.vehicle_checks import check_sending, check_signing, check_simulator, check_vehicle
 from follow.flight.service import Service
+from follow.flight.vehicle_checks import check_sending, check_signing, check_simulator, check_vehicle
 from follow.link import Link
 from follow.link.connection import MavlinkLink
 from follow.loop import BoxTracker, Controller, SetpointGate, TargetEstimator, follow
@@ -124,10 +124,15 @@ def fly(
             service.close()
 
 
-def preflight(link: MavlinkLink, out: Path, *, signs: bool) -> list[Finding]:
-    """The checks of `follow doctor` before this flight; they take some ten seconds."""
+def preflight(link: MavlinkLink, out: Path, *, signs: bool, live_camera: bool, simulated: bool) -> list[Finding]:
+    """The checks of `follow doctor` before this flight; they take some ten seconds.
+
+    Without a live camera only a simulator may be flown.
+    """
     findings = check_vehicle(link.client, link.listen, time.monotonic)
-    return [*findings, check_disk(out), check_time(signs, time.time()), check_signing(link.client, signs)]
+    findings += [check_disk(out), check_time(signs, time.time()), check_signing(link.client, signs, link.reach)]
+    findings.append(check_sending(link.unsent))
+    return findings if live_camera else [*findings, check_simulator(link.client, link.reach, said=simulated)]
 
 
 def unwaived(findings: Sequence[Finding], waived: Sequence[str], report: Notify) -> tuple[str, ...]:

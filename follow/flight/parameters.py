@@ -12,7 +12,7 @@ from follow.messages import Autopilot
 Firmware = tuple[int, int]
 """Major and minor version."""
 
-FENCE_M = 500.0  # the edge of visual line of sight of a small drone; our own fence is 300 m (follow/safety/limits.py)
+FENCE_M = 1000.0  # no small drone is in sight beyond it; our own fence is 300 m (follow/safety/limits.py)
 FENCE_HEIGHT_M = 150.0  # 120 m is the open category's limit in Europe, with room for braking
 
 WHERE: dict[Autopilot, str] = {
@@ -93,11 +93,7 @@ PX4_QUESTIONS: tuple[Question, ...] = (
     # It flew on at full speed for 1.1 to 1.4 s at the default of 1.0 s.
     (Parameter("COM_OF_LOSS_T", "flies on this long without setpoints", between(0.5, 1.0), "0.5", "s"),),
     # At 0 without a remote control it drifted and sank at 0.6 m/s; at 5 it held.
-    (
-        Parameter(
-            "COM_OBL_RC_ACT", "reaction when setpoints end", one_of({5: "Hold", 3: "Return", 4: "Land"}), "5"
-        ),
-    ),
+    (Parameter("COM_OBL_RC_ACT", "reaction when setpoints end", one_of({5: "Hold", 3: "Return", 4: "Land"}), "5"),),
     # At 1 the sticks do not break OFFBOARD.
     (
         Parameter(

@@ -130,7 +130,7 @@ def packet_length(buffer: bytearray, start: int) -> int | None:
 
 
 def is_foreign(buffer: bytearray, start: int) -> bool:
-    """Whether a MAVLink 2 packet of unknown type seems to start here: the next one, or the end, follows right behind."""
+    """Whether a MAVLink 2 packet of unknown type seems to start here: the next packet, or the end, follows it."""
     if buffer[start] != MAGIC_V2 or len(buffer) < start + HEADER_V2 or buffer[start + 2] & ~SIGNED:
         return False
     signature = SIGNATURE if buffer[start + 2] & SIGNED else 0

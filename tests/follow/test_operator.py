@@ -9,8 +9,8 @@ from dataclasses import dataclass, field, replace
 
 import pytest
 
-from follow.flight.live_flight import unwaived
 from follow.flight.finding import Finding, Health
+from follow.flight.live_flight import unwaived
 from follow.flight.service import Service
 from follow.messages import (
     HOVER,

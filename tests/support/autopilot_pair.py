@@ -14,11 +14,17 @@ Way = Callable[[list[bytes]], list[bytes]]
 
 
 class Pair:
-    """`setpoint` is streamed while it is not None; `to_autopilot` and `to_client` may spoil what passes."""
+    """`setpoint` is streamed while it is not None; `to_autopilot` and `to_client` may spoil what passes.
 
-    def __init__(self, autopilot: Autopilot, height_m: float = 10.0, key: bytes | None = None, **client):
+    The remote control is on, with its sticks at rest.
+    """
+
+    def __init__(
+        self, autopilot: Autopilot, height_m: float = 10.0, key: bytes | None = None, firmware: str = "", **client
+    ):
         start = VehicleTruth(down_m=-height_m)
-        self.system = AutopilotSystem(autopilot, Vehicle(autopilot, start), key=key)
+        self.system = AutopilotSystem(autopilot, Vehicle(autopilot, start), key=key, firmware=firmware)
+        self.system.flight.resting_sticks = self.system.flight.sticks = (0.0, 0.0, 0.0, 0.0)
         self.client = MavlinkClient(**client)
         self.t_s = 0.0
         self.setpoint: Setpoint | None = None

@@ -24,6 +24,7 @@ from racf.box import Box
 from racf.track import Track
 from sim.autopilot.system import AutopilotSystem
 from sim.dynamics import Vehicle, VehicleTruth
+from tests.support.fit import fit
 
 FRAME_S = 1 / 30
 SUBSTEPS = 4  # of a frame: telemetry of 50 Hz comes at its own times
@@ -34,10 +35,7 @@ STILL_M_S = 0.3  # drift of a PX4 that is told to stand is faster than none
 DOWN_RAD = 0.5
 LENS = Intrinsics.from_fov(640, 360, math.radians(80.0))
 SIZE_M = (0.6, 1.8)  # the target's width and height
-PARAMETERS = {  # those that `follow doctor` asks for
-    Autopilot.PX4: {"COM_OBL_RC_ACT": 5, "COM_RC_OVERRIDE": 3, "GF_MAX_HOR_DIST": 350.0, "GF_MAX_VER_DIST": 120.0},
-    Autopilot.ARDUPILOT: {"GUID_TIMEOUT": 1.0, "FENCE_ENABLE": 1},
-}
+PARAMETERS = {autopilot: fit(autopilot) for autopilot in Autopilot}  # those that `follow doctor` asks for
 Way = Callable[[list[bytes]], list[bytes]]
 
 

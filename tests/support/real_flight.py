@@ -20,6 +20,8 @@ from pathlib import Path
 
 from pymavlink.dialects.v20 import common as dialect
 
+from follow.messages import Autopilot
+from tests.support.fit import fixes
 from tests.support.machine import LateError
 
 CONTROL = {"px4": "OFFBOARD", "ardupilot": "GUIDED"}
@@ -30,8 +32,7 @@ NUMBERS = {  # parameters 2 and 3 of DO_SET_MODE
 }
 PILOTS_CHOICE = {"px4": "HOLD", "ardupilot": "LOITER"}
 FIT = {  # the parameters that `follow doctor` asks for
-    "px4": ("COM_OBL_RC_ACT=5", "COM_RC_OVERRIDE=3", "GF_MAX_HOR_DIST=350", "GF_MAX_VER_DIST=120"),
-    "ardupilot": ("GUID_TIMEOUT=1", "FENCE_ENABLE=1"),
+    autopilot.value: tuple(f"{name}={value}" for name, value in fixes(autopilot).items()) for autopilot in Autopilot
 }
 READY_S = 120.0  # a loaded machine compiles the tracker's kernels that long
 
