@@ -110,8 +110,6 @@ WORDS_LEFT: dict[str, int] = {
     "docs/scenes.md": 23,
     "docs/vehicle.md": 2,
     "follow/control/target.py": 3,
-    "follow/flight/parameters.py": 1,
-    "follow/flight/preflight.py": 13,
     "follow/messages.py": 2,
     "follow/ranges.py": 1,
     "sim/camera.py": 11,
