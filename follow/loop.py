@@ -14,6 +14,7 @@ from follow.messages import (
     NO_INSTRUCTION,
     Decision,
     Estimate,
+    Frame,
     Instruction,
     Order,
     Reason,
@@ -63,12 +64,21 @@ class SetpointGate(Protocol):
         state: VehicleState,
         frame_t_s: float,
         instruction: Instruction = NO_INSTRUCTION,
+        contradiction: str = "",
     ) -> Decision:
         """Limit the desired setpoint at `state.t_s`; `frame_t_s` is when the newest frame was taken."""
         ...
 
     def order(self, order: Order, reason: Reason | None = None) -> None:
         """Give an order; the next round acts on it."""
+        ...
+
+
+class WorldWatch(Protocol):
+    """Compares the image with the vehicle's motion; `follow.safety.consistency.ImageWatch` is one."""
+
+    def update(self, frame: Frame | None, track: Track | None, state: VehicleState) -> str:
+        """Say in words how the image contradicts the vehicle's motion; empty when it does not."""
         ...
 
 
@@ -80,6 +90,7 @@ def follow(
     servo: Controller,
     safety: SetpointGate,
     operator: Callable[[], Instruction] = lambda: NO_INSTRUCTION,
+    watch: WorldWatch | None = None,
 ) -> Iterator[Tick]:
     """Keep the target in view until the frames end, yielding one Tick a round."""
     frame_t_s = NEVER
@@ -93,7 +104,8 @@ def follow(
         clock.append(perf_counter())
         estimate = target.update(track, state, frame_t_s)
         desired = servo.update(estimate, state)
-        decision = safety.allow(desired, estimate, state, frame_t_s, operator())
+        contradiction = watch.update(frame, track, state) if watch is not None else ""
+        decision = safety.allow(desired, estimate, state, frame_t_s, operator(), contradiction)
         clock.append(perf_counter())
         link.send(decision.setpoint)
         clock.append(perf_counter())

@@ -190,6 +190,29 @@ class Estimate:
     contradiction: str = ""
 
 
+@dataclass(frozen=True, slots=True)
+class ImageMotion:
+    """How corners of the background moved between two frames, against the prediction by the vehicle's motion.
+
+    With m the measured motion of a corner, r the one predicted from rotation alone and t what translation over flat
+    ground adds, all in pixels, the fields are weighted means over the corners of their dot products, px²; `mm_px2` is
+    the median of m·m.  `box_seen_px` is the motion of the target's box, `box_expected_px` what rotation alone would
+    make of it, (right, down).
+    """
+
+    from_t_s: float
+    t_s: float
+    corners: int
+    rr_px2: float
+    rt_px2: float
+    tt_px2: float
+    mr_px2: float
+    mt_px2: float
+    mm_px2: float
+    box_seen_px: tuple[float, float] = (0.0, 0.0)
+    box_expected_px: tuple[float, float] = (0.0, 0.0)
+
+
 class Order(str, Enum):
     """What the operator orders."""
 

@@ -18,7 +18,7 @@ MAY_IMPORT = {
     "camera": SPOKEN,
     "link": SPOKEN,
     "control": SPOKEN,
-    "safety": SPOKEN,
+    "safety": SPOKEN | {"control"},
     "operator": SPOKEN | {"safety", "recording"},
     "recording": SPOKEN,
     "flight": SPOKEN | {"camera", "link", "control", "safety", "operator", "recording", "loop"},

@@ -9,6 +9,7 @@ from follow.cli.commands import ReplayCommand, box_of
 from follow.cli.settings import as_toml
 from follow.config import Config, resolve
 from follow.control.footage import FootageTarget
+from follow.control.image_motion import ImageMotionMeter
 from follow.control.servo import Servo
 from follow.control.target import Target
 from follow.flight.session import acquire, conclude, fly, once
@@ -19,6 +20,7 @@ from follow.operator.terminal import Terminal
 from follow.recording.recorder import Recorder
 from follow.recording.scoring import Annotations, FootageScore
 from follow.recording.summary import Figures
+from follow.safety.consistency import ImageWatch
 from follow.safety.gate import Safety
 from racf.box import Box
 from racf.commandline import UsageError
@@ -54,8 +56,10 @@ def replay(command: ReplayCommand) -> None:
         target = FootageTarget(Target(lens, config.camera.down_rad, config.target), moves_view=command.ptz)
         servo = Servo(config.camera.down_rad, config.servo)
         tracker, safety = acquire(command.tracker, box), Safety(config.limits)
+        # Without the window the footage does not answer to the vehicle: there is nothing to compare.
+        watch = ImageWatch(ImageMotionMeter(lens, config.camera.down_rad)) if ptz is not None else None
         with link:
-            ticks = follow(camera, link, tracker, target, servo, safety, once(Order.FOLLOW))
+            ticks = follow(camera, link, tracker, target, servo, safety, once(Order.FOLLOW), watch)
             ticks = terminal.progress(ticks, footage.rounds, "replay")
             finished = fly(ticks, recorder, terminal, score.add)
         if line := score.shortfall():

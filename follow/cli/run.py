@@ -18,6 +18,7 @@ from follow.cli.settings import as_toml
 from follow.cli.sim import scene_camera
 from follow.config import CameraConfig, Config, resolve
 from follow.control.acquire import Acquire
+from follow.control.image_motion import ImageMotionMeter
 from follow.control.servo import STEEPEST_RAD, Servo, ServoMode
 from follow.control.target import Target
 from follow.flight.finding import Finding
@@ -33,6 +34,7 @@ from follow.operator.authority import Operator
 from follow.operator.terminal import Terminal
 from follow.recording.recorder import Recorder, set_aside
 from follow.recording.summary import Figures
+from follow.safety.consistency import ImageWatch
 from follow.safety.gate import Safety
 from racf.box import Box
 from racf.commandline import UsageError
@@ -204,8 +206,9 @@ def fly_prepared(
     if command.aim:
         operator.aim = lambda: (tracker.restart(), target.forget())
     servo, safety = Servo(seen.down_rad, seen.config.servo), Safety(seen.config.limits)
+    watch = ImageWatch(ImageMotionMeter(seen.lens, seen.down_rad))
     with seen.camera as camera:
-        parts = Parts(camera, link, tracker, target, servo, safety)
+        parts = Parts(camera, link, tracker, target, servo, safety, watch)
         fly(parts, operator, lambda tick: recorder.tick(tick, seen.truth(tick)), command.seconds)
 
 

@@ -10,6 +10,7 @@ from typing import cast
 from follow.cli.commands import SimCommand
 from follow.cli.settings import as_toml
 from follow.config import CameraConfig, Config, resolve
+from follow.control.image_motion import ImageMotionMeter
 from follow.control.servo import Servo
 from follow.control.target import Target
 from follow.flight.session import acquire, conclude, fly, once
@@ -18,6 +19,7 @@ from follow.messages import Autopilot, Order, Tick
 from follow.operator.terminal import Terminal, result, table
 from follow.recording.recorder import Recorder
 from follow.recording.summary import Figures
+from follow.safety.consistency import ImageWatch
 from follow.safety.gate import Safety
 from racf.box import Box
 from racf.commandline import UsageError
@@ -57,7 +59,7 @@ def simulate(flight: FlightSpec, terminal: Terminal, *, bar: bool) -> tuple[Figu
     lens, down_rad = believed.intrinsics, believed.down_rad
     config = resolve(config, lens, down_rad, believed.latency_s)
     target, servo = Target(lens, down_rad, config.target), Servo(down_rad, config.servo)
-    safety = Safety(config.limits)
+    safety, watch = Safety(config.limits), ImageWatch(ImageMotionMeter(lens, down_rad))
     about = f"# follow sim {flight.scenario}\n\n{scenario.about}; seed {flight.seed}, {flight.autopilot.value}"
     rows: list[ScoredTick] = []
     strip = Strip(scenario.duration_s)
@@ -74,7 +76,7 @@ def simulate(flight: FlightSpec, terminal: Terminal, *, bar: bool) -> tuple[Figu
             return truth.box
 
         with link:
-            ticks = follow(camera, link, tracker, target, servo, safety, once(Order.FOLLOW))
+            ticks = follow(camera, link, tracker, target, servo, safety, once(Order.FOLLOW), watch)
             rounds = round(scenario.duration_s * max(scenario.frames_per_s, 30))
             finished = fly(
                 terminal.progress(ticks, rounds, flight.name) if bar else ticks, recorder, terminal, true_box

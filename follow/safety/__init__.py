@@ -1,4 +1,4 @@
 """The gate: no byte reaches an autopilot but through `Safety.allow`.  One person can review the whole room.
 
-May import: messages, geometry, ranges.  Pure functions of their arguments: no I/O, no clock.
+May import: messages, geometry, ranges, control.  Pure functions of their arguments: no I/O, no clock.
 """

@@ -31,6 +31,7 @@ class Pieces:
     rounds: list[Frame | None]
     said: list[object] = field(default_factory=list)
     instructions: list[Instruction] = field(default_factory=list)
+    contradictions: list[str] = field(default_factory=list)
     t_s: float = 0.0
 
     def frames(self):
@@ -49,9 +50,10 @@ class Pieces:
     def order(self, order, reason=None):
         self.said.append(order)
 
-    def allow(self, desired, estimate, state, frame_t_s, instruction=NO_INSTRUCTION):
+    def allow(self, desired, estimate, state, frame_t_s, instruction=NO_INSTRUCTION, contradiction=""):
         self.said.append(("allow", frame_t_s))
         self.instructions.append(instruction)
+        self.contradictions.append(contradiction)
         return Decision(desired, Mode.FOLLOW)
 
 
@@ -102,3 +104,13 @@ def test_the_gate_hears_the_operators_instruction_of_the_same_round():
     given = iter(instructions)
     list(follow(pieces, pieces, Tracker(), Target(), Servo(), pieces, lambda: next(given)))
     assert pieces.instructions == instructions
+
+
+def test_the_gate_hears_what_contradicts_the_image_in_the_same_round():
+    class Watch:
+        def update(self, frame, track, state):
+            return "frozen" if frame is None else ""
+
+    pieces = Pieces([Frame(PICTURE, 0.0, 0), None])
+    list(follow(pieces, pieces, Tracker(), Target(), Servo(), pieces, watch=Watch()))
+    assert pieces.contradictions == ["", "frozen"]

@@ -1,0 +1,213 @@
+"""How the background moves in the image, against how the vehicle's own motion says that it must move.
+
+Corners outside the target's box are tracked from a key frame to the frame `SPAN_S` later (Lucas-Kanade).  From the
+camera's poses at both times the motion of each corner is predicted: `r` from the rotation alone, which is exact at
+any depth, and `t` on top of it from the translation, for a corner on flat ground at the believed height (zero for
+corners at or above the horizon).  The measured motion is then modelled as
+
+    m = a r + b t
+
+`a` is 1 for a camera that looks where we believe it does, 0 for a frozen image, -1 for a mount with the wrong sign,
+and the ratio of true to assumed focal length for a wrong lens.  `b` is the believed height above the ground over the
+true one (times the same ratio).  What is passed on are the means of the products that this least-squares problem
+needs: whoever judges adds them up over time (`follow.safety.consistency`).
+"""
+
+from collections import deque
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from follow.control.pose_history import Pose, PoseHistory
+from follow.geometry import Array, Intrinsics, camera_to_ned, project, rays
+from follow.messages import Frame, ImageMotion, VehicleState
+from racf.box import Box
+
+SPAN_S = 0.2  # between the two frames: 3 m/s and 0.1 rad/s then move corners by 5 to 20 px, wobble does not alias
+WIDTH_PX = 320  # images are shrunk to at most this width: Lucas-Kanade stays below 1 ms, 0.1 px here is 0.2 px at 640
+CORNERS = 48  # the fit has two unknowns; more corners cost time and share the same pose error
+QUALITY = 0.01  # of the strongest corner: asphalt and grass still give some
+APART_PX = 10  # so that one tree does not outvote the ground
+AROUND_BOX = 1.6  # the target moves by itself; so does its shadow beside it
+FEWEST = 8  # corners below which an interval says nothing
+WINDOW = (15, 15)  # Lucas-Kanade's; with two halvings it follows 30 px in the shrunk image
+HUBER_PX = 1.0  # residual (full-size pixels) beyond which a corner counts less: other people, leaves, an OSD
+ROUNDS = 4  # of reweighting
+FAR_M = 300.0  # ground farther away than this moves by rotation only
+WAIT_S = 0.15  # an interval waits at most this long for telemetry that covers its frames
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CornerTracks:
+    """Corners of two frames, (N, 2) full-size pixels each, and the two frames' times; and the target's centres."""
+
+    from_t_s: float
+    to_t_s: float
+    before: Array
+    after: Array
+    box_before: tuple[float, float] | None
+    box_after: tuple[float, float] | None
+
+
+@dataclass(slots=True)
+class ImageMotionMeter:
+    """Fed once a round; gives an `ImageMotion` about every `SPAN_S`.
+
+    `camera` describes the full-size image, `down_rad` is the mount.  `ground_down_m` is where the ground is believed
+    to be (local NED); the caller may change it.
+    """
+
+    camera: Intrinsics
+    down_rad: float
+    ground_down_m: float = 0.0
+    poses: PoseHistory = field(default_factory=PoseHistory)
+    _key: tuple[float, NDArray[np.uint8], NDArray[np.float32], tuple[float, float] | None] | None = None
+    _last: tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.bool_]] | None = None
+    _waiting: deque[CornerTracks] = field(default_factory=lambda: deque[CornerTracks](maxlen=8))
+
+    def update(self, frame: Frame | None, box: Box | None, state: VehicleState) -> ImageMotion | None:
+        """Take in a round; the measurement of the oldest interval whose poses are known, or None."""
+        self.poses.add(state)
+        if frame is not None:
+            self._track(frame, box)
+        if self._waiting:
+            first = self._waiting[0]
+            if state.attitude_t_s >= first.to_t_s or state.t_s - first.to_t_s > WAIT_S:
+                self._waiting.popleft()
+                return self.compare(first)
+        return None
+
+    def _track(self, frame: Frame, box: Box | None) -> None:
+        image, scale = shrunk_grey(frame.image)
+        centre = (box.centre_x, box.centre_y) if box is not None else None
+        if self._key is not None and self._last is not None and frame.t_s > self._key[0]:
+            previous, points, alive = self._last
+            moved, found, _ = cv2.calcOpticalFlowPyrLK(
+                previous, image, points, np.empty_like(points), winSize=WINDOW, maxLevel=2
+            )
+            alive = alive & (found[:, 0] > 0)
+            self._last = image, np.asarray(moved, np.float32), alive
+            t_s, _, start, centre_before = self._key
+            if frame.t_s - t_s < SPAN_S - 1e-3:
+                return
+            if frame.t_s - t_s < 2 * SPAN_S and np.count_nonzero(alive) >= FEWEST:
+                before = (start[alive, 0].astype(np.float64) + 0.5) * scale
+                after = (moved[alive, 0].astype(np.float64) + 0.5) * scale
+                self._waiting.append(CornerTracks(t_s, frame.t_s, before, after, centre_before, centre))
+        self._restart(frame.t_s, image, scale, box, centre)
+
+    def _restart(
+        self,
+        t_s: float,
+        image: NDArray[np.uint8],
+        scale: float,
+        box: Box | None,
+        centre: tuple[float, float] | None,
+    ) -> None:
+        points = corners(image, None if box is None else box.scaled(AROUND_BOX), scale)
+        if points is None:
+            self._key = self._last = None
+            return
+        self._key = t_s, image, points, centre
+        self._last = image, points, np.ones(len(points), bool)
+
+    def compare(self, tracked: CornerTracks) -> ImageMotion:
+        """The measurement of one interval, by the poses at its two frames."""
+        before, after = self.poses.at(tracked.from_t_s), self.poses.at(tracked.to_t_s)
+        rotated, moved = self.expected(tracked.before, before, after)
+        known = np.isfinite(rotated).all(axis=1) & np.isfinite(moved).all(axis=1)
+        r = (rotated - tracked.before)[known]
+        t = (moved - rotated)[known]
+        m = (tracked.after - tracked.before)[known]
+        w = weights(m, r, t)
+        box_seen = box_expected = (0.0, 0.0)
+        if tracked.box_before is not None and tracked.box_after is not None:
+            turned, _ = self.expected(np.array([tracked.box_before]), before, after)
+            if np.isfinite(turned).all():
+                (x0, y0), (x1, y1) = tracked.box_before, tracked.box_after
+                box_seen = x1 - x0, y1 - y0
+                box_expected = float(turned[0, 0]) - x0, float(turned[0, 1]) - y0
+        return ImageMotion(
+            from_t_s=tracked.from_t_s,
+            t_s=tracked.to_t_s,
+            corners=int(np.count_nonzero(known)),
+            rr_px2=mean_product(w, r, r),
+            rt_px2=mean_product(w, r, t),
+            tt_px2=mean_product(w, t, t),
+            mr_px2=mean_product(w, m, r),
+            mt_px2=mean_product(w, m, t),
+            mm_px2=float(np.median(np.sum(m * m, axis=1))) if len(m) else 0.0,
+            box_seen_px=box_seen,
+            box_expected_px=box_expected,
+        )
+
+    def expected(self, pixels: Array, before: Pose, after: Pose) -> tuple[Array, Array]:
+        """Where (N, 2) pixels should be at the later pose: by the rotation alone, and with the translation.
+
+        NaN for what is behind the camera then.
+        """
+        first = camera_to_ned(self.down_rad, before.roll_rad, before.pitch_rad, before.yaw_rad)
+        second = camera_to_ned(self.down_rad, after.roll_rad, after.pitch_rad, after.yaw_rad)
+        ray = rays(self.camera, pixels) @ first.T  # NED
+        rotated, _ = project(self.camera, second, np.zeros(3), ray)
+        height_m = max(self.ground_down_m - before.down_m, 0.1)
+        depth_m = np.where(ray[:, 2] > height_m / FAR_M, height_m / np.maximum(ray[:, 2], 1e-6), np.inf)
+        shift = np.array([after.north_m - before.north_m, after.east_m - before.east_m, after.down_m - before.down_m])
+        with np.errstate(invalid="ignore"):
+            ground = np.where(np.isfinite(depth_m)[:, None], ray * np.minimum(depth_m, FAR_M)[:, None] - shift, ray)
+        moved, _ = project(self.camera, second, np.zeros(3), ground)
+        return rotated, moved
+
+
+def shrunk_grey(image: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], float]:
+    """The image in grey and at most `WIDTH_PX` wide, and full-size pixels per pixel of it."""
+    scale = max(image.shape[1] / WIDTH_PX, 1.0)
+    if scale > 1.0:
+        size = (round(image.shape[1] / scale), round(image.shape[0] / scale))
+        image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+    if image.ndim == 3:
+        image = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
+    return image, scale
+
+
+def corners(image: NDArray[np.uint8], avoid: Box | None, scale: float) -> NDArray[np.float32] | None:
+    """(N, 1, 2) corners of a grey image outside a box given in full-size pixels; None when there are too few."""
+    mask = np.full(image.shape, 255, np.uint8)
+    if avoid is not None:
+        x0, y0 = (max(int(v / scale), 0) for v in (avoid.x, avoid.y))
+        x1, y1 = (max(int(v / scale) + 1, 0) for v in (avoid.x + avoid.w, avoid.y + avoid.h))
+        mask[y0:y1, x0:x1] = 0
+    found = cv2.goodFeaturesToTrack(image, CORNERS, QUALITY, APART_PX, mask=mask)
+    points = np.asarray(found, np.float32)  # OpenCV gives None for no corner at all: an array without a length
+    return points if points.ndim == 3 and len(points) >= FEWEST else None
+
+
+def weights(m: Array, r: Array, t: Array) -> Array:
+    """(N,) weights of the corners: Huber's, about the fit m = a r + b t, found by reweighting."""
+    w = np.ones(len(m))
+    for _ in range(ROUNDS):
+        a, b = solve(
+            mean_product(w, r, r),
+            mean_product(w, r, t),
+            mean_product(w, t, t),
+            mean_product(w, m, r),
+            mean_product(w, m, t),
+        )
+        off = np.linalg.norm(m - a * r - b * t, axis=1)
+        width = max(HUBER_PX, 1.5 * float(np.median(off)) if len(off) else 0.0)
+        w = np.minimum(1.0, width / np.maximum(off, 1e-9))
+    return w
+
+
+def mean_product(w: Array, u: Array, v: Array) -> float:
+    """The weighted mean over corners of the dot products of two (N, 2) motions, px²."""
+    return float(np.sum(w * np.sum(u * v, axis=1)) / max(float(np.sum(w)), 1e-9))
+
+
+def solve(rr: float, rt: float, tt: float, mr: float, mt: float) -> tuple[float, float]:
+    """(a, b) of least squares for m = a r + b t; a part that hardly moves (under 0.1 px) gets the other's share."""
+    ridge = 0.01  # px²
+    det = (rr + ridge) * (tt + ridge) - rt * rt
+    return (mr * (tt + ridge) - mt * rt) / det, (mt * (rr + ridge) - mr * rt) / det

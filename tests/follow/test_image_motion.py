@@ -1,0 +1,181 @@
+"""How the background moves: measured on images whose motion is known, and judged against what it must be."""
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+
+from follow.control.image_motion import FEWEST, ImageMotionMeter, corners, shrunk_grey, solve
+from follow.geometry import Intrinsics, camera_to_ned, ground_points
+from follow.messages import Frame, ImageMotion, VehicleState
+from follow.safety.consistency import Consistency, box_gain, whole_gain
+from racf.box import Box
+
+LENS = Intrinsics.from_fov(320, 180, math.radians(80.0))
+DOWN_RAD = math.radians(30.0)
+FPS = 30.0
+TEXTURE = cv2.GaussianBlur(np.random.default_rng(0).integers(0, 255, (1600, 1600), np.uint8), (0, 0), 2.5)
+M_PER_TEXEL = 0.05
+
+
+def state(t_s, north=0.0, height=8.0, yaw=0.0, pitch=0.0, north_m_s=0.0, yaw_rate=0.0):
+    """A vehicle state whose every group is fresh at `t_s`."""
+    return VehicleState(
+        t_s,
+        attitude_t_s=t_s,
+        pitch_rad=pitch,
+        yaw_rad=yaw,
+        yaw_rate_rad_s=yaw_rate,
+        position_t_s=t_s,
+        north_m=north,
+        down_m=-height,
+        north_m_s=north_m_s,
+        heartbeat_t_s=t_s,
+    )
+
+
+def image_of(s: VehicleState, lens: Intrinsics = LENS, down_rad: float = DOWN_RAD, ground_down_m: float = 0.0):
+    """The textured flat ground as the camera sees it: each pixel's ray is met with the ground."""
+    rotation = camera_to_ned(down_rad, s.roll_rad, s.pitch_rad, s.yaw_rad)
+    columns, rows = np.meshgrid(np.arange(lens.width) + 0.5, np.arange(lens.height) + 0.5)
+    pixels = np.stack([columns.ravel(), rows.ravel()], axis=1)
+    at = ground_points(lens, rotation, (s.north_m, s.east_m, s.down_m), pixels, ground_down_m)[:, :2]
+    texels = np.clip(
+        np.nan_to_num(np.stack([800 + at[:, 1] / M_PER_TEXEL, 800 - at[:, 0] / M_PER_TEXEL]), nan=-9), -9, 1700
+    )
+    map_x, map_y = texels.reshape(2, lens.height, lens.width).astype(np.float32)
+    return cv2.remap(TEXTURE, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=200)
+
+
+def flown(motion, seconds=1.2, see=image_of, box=None, **meter):
+    """The measurements of a flight: `motion(t)` gives the keywords of `state`, `see(state)` the image."""
+    measure = ImageMotionMeter(LENS, DOWN_RAD, **meter)
+    found = []
+    for n in range(round(seconds * FPS)):
+        t_s = n / FPS
+        s = state(t_s, **motion(t_s))
+        at = box(t_s) if box else None
+        if (one := measure.update(Frame(see(s), t_s, n), at, s)) is not None:
+            found.append(one)
+    return found
+
+
+def fit(motions: list[ImageMotion]):
+    return solve(
+        *(sum(getattr(m, name) for m in motions) for name in ("rr_px2", "rt_px2", "tt_px2", "mr_px2", "mt_px2"))
+    )
+
+
+def turning(t_s):
+    return {"yaw": 0.4 * t_s, "yaw_rate": 0.4, "pitch": 0.03 * math.sin(7 * t_s)}
+
+
+def flying(t_s):
+    return {**turning(t_s), "north": 3.0 * t_s, "north_m_s": 3.0}
+
+
+def test_a_sound_camera_has_gain_one_for_rotation_and_for_translation():
+    a, b = fit(flown(flying))
+    assert (a, b) == pytest.approx((1.0, 1.0), abs=0.05)
+
+
+@pytest.mark.parametrize("lower_m", [-3.0, 4.0])
+def test_the_translation_gain_is_the_believed_over_the_true_height(lower_m):
+    a, b = fit(flown(flying, see=lambda s: image_of(s, ground_down_m=lower_m)))
+    assert a == pytest.approx(1.0, abs=0.06)
+    assert b == pytest.approx(8.0 / (8.0 + lower_m), rel=0.1)
+
+
+def test_a_turning_camera_turned_upside_down_has_gain_minus_one():
+    motions = flown(turning, see=lambda s: np.ascontiguousarray(image_of(s)[::-1, ::-1]))
+    assert whole_gain(motions).value == pytest.approx(-1.0, abs=0.15)
+    assert "does not move with the vehicle" in judged(motions)
+
+
+@pytest.mark.parametrize(("fov_deg", "above"), [(130.0, False), (45.0, True)])
+def test_another_lens_than_the_settings_say_is_contradicted(fov_deg, above):
+    lens = Intrinsics.from_fov(320, 180, math.radians(fov_deg))
+    motions = flown(turning, 3.2, see=lambda s: image_of(s, lens))
+    assert (whole_gain(motions).value > 1.0) is above
+    assert "field of view" in judged(motions)
+
+
+def judged(motions):
+    watch = Consistency()
+    return [watch.update(m, m.t_s) for m in motions][-1]
+
+
+@pytest.mark.parametrize("motion", [turning, flying])
+def test_a_sound_camera_is_never_contradicted(motion):
+    watch = Consistency()
+    assert not any(watch.update(m, m.t_s) for m in flown(motion, 3.0))
+
+
+@pytest.mark.parametrize("fault", ["noise", "clock", "two buffers"])
+def test_a_frozen_image_is_contradicted_within_a_second_although_its_bytes_change(fault):
+    random, held = np.random.default_rng(1), [image_of(state(0.0)), image_of(state(1 / FPS, **flying(1 / FPS)))]
+    count = iter(range(10_000))
+
+    def see(s):
+        n = next(count)
+        if fault == "two buffers":
+            return held[n % 2]
+        image = held[0].copy()
+        if fault == "clock":
+            image[4:20, 4:100] = random.integers(0, 255, (16, 96))
+            return image
+        return np.clip(image + random.normal(0, 4, image.shape), 0, 255).astype(np.uint8)
+
+    motions = flown(flying, 1.0, see=see)
+    assert "does not move with the vehicle" in judged(motions)
+
+
+def test_a_vehicle_that_hangs_still_is_never_contradicted():
+    frozen = image_of(state(0.0))
+    motions = flown(lambda _t: {"pitch": 0.0}, 2.0, see=lambda _s: frozen)
+    assert motions
+    assert judged(motions) == ""
+
+
+def wobbling(t_s):
+    return {"pitch": 0.05 * math.sin(9 * t_s), "north": 3.0 * t_s, "north_m_s": 3.0}
+
+
+def test_a_box_that_rides_on_the_vehicle_is_contradicted_and_one_in_the_world_is_not():
+    def in_the_world(t_s):
+        return Box.around(160 + 4 * t_s, 90 + LENS.fy * 0.05 * math.sin(9 * t_s), 12, 30)
+
+    riding = flown(wobbling, 3.0, box=lambda _t: Box.around(160, 90, 12, 30))
+    sound = flown(wobbling, 3.0, box=in_the_world)
+    assert abs(box_gain(riding).value) < 0.1
+    assert "rides on the vehicle" in judged(riding)
+    assert box_gain(sound).value == pytest.approx(1.0, abs=0.15)
+    assert judged(sound) == ""
+
+
+def test_an_old_contradiction_is_forgotten_when_nothing_is_measured():
+    held = image_of(state(0.0))
+    motions = flown(flying, 1.2, see=lambda _s: held)
+    watch = Consistency()
+    for m in motions:
+        watch.update(m, m.t_s)
+    assert watch.update(None, motions[-1].t_s + 0.3)
+    assert not watch.update(None, motions[-1].t_s + 2.0)
+
+
+def test_an_image_without_corners_measures_nothing():
+    grey = np.full((360, 640), 128, np.uint8)
+    assert flown(flying, 1.0, see=lambda _s: grey) == []
+
+
+@pytest.mark.parametrize("times", [1, 2, 4])
+def test_corners_keep_away_from_the_box_whatever_the_size_of_the_image(times):
+    colour = np.repeat(image_of(state(0.0))[:, :, None], 3, axis=2)
+    image, scale = shrunk_grey(cv2.resize(colour, None, fx=times, fy=times))
+    assert (image.shape, scale) == ((180, 320), times)
+    avoid = Box(50.0 * times, 25.0 * times, 150.0 * times, 100.0 * times)
+    found = corners(image, avoid, scale)
+    assert len(found) >= FEWEST
+    x, y = found[:, 0].T
+    assert not np.any((x > 51) & (x < 199) & (y > 26) & (y < 124))
