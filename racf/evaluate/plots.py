@@ -20,8 +20,8 @@ from racf.evaluate.report import Report
 LEGEND_AT_MOST = 16  # trackers: the paper's figures show fourteen
 IMAGES_PER_SEQUENCE = 3
 LINE_PX = (2, 1, 3)  # of the boxes of the first ten trackers, the next ten, ...
-ANNOTATION, ANNOTATION_PX = "annotation", 4
-BEHIND_WHITE = "0.8"  # grey behind the legend, on which the annotation's white line can be seen
+ANNOTATION, ANNOTATION_PX = "annotation", 1  # white with a black edge of as many pixels on either side
+LEGEND = "0.7"  # grey, on which the annotation's white line can be seen
 IMAGE_COLS = 480  # an image is scaled to this width before it is drawn on, so that lines are equally wide
 
 
@@ -100,9 +100,10 @@ def draw_images(sequences: ListOf[Sequence], boxes: Mapping[str, Mapping[str, Bo
             axes.imshow(_with_boxes(read_frame(sequence.frames[index]), at, lines)[:, :, ::-1])
             axes.set_title(f"{sequence.name} #{index + 1}", fontsize=7)
             axes.set_axis_off()
-    figure.set_facecolor(BEHIND_WHITE)
     handles = [Line2D([], [], color=colour, linewidth=px, label=label) for label, (colour, px) in lines.items()]
-    figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), len(colours)), fontsize=8)
+    figure.legend(
+        handles=handles, loc="outside lower center", ncols=min(len(handles), len(colours)), fontsize=8, facecolor=LEGEND
+    )
     return save(figure, place)
 
 
@@ -150,5 +151,7 @@ def _with_boxes(
         corners = [(round((x - 1) * scale), round((y - 1) * scale))]
         corners += [(round((x - 1 + w) * scale), round((y - 1 + h) * scale))]
         colour, thick = lines[label]
+        if label == ANNOTATION:
+            cv2.rectangle(small, corners[0], corners[1], [0, 0, 0], 3 * thick)
         cv2.rectangle(small, corners[0], corners[1], [round(255 * c) for c in colour[:3]][::-1], thick)
     return np.asarray(small, dtype=np.uint8)

@@ -2,8 +2,8 @@
 
     python -m tools.studies.other_starts DATA --tracker racf --tracker racf,learning_rate=0.0192 [--jitter 2]
 
-A check of what was chosen by the sequences' own starts: each sequence is run from a sixth and a third of its way, and
-backwards from its end and from two thirds, always from the annotated box and from `--jitter` wrong ones.  Prints
+A check of what was chosen by the sequences' own starts: each sequence is run from a sixth and a third of its frames on,
+and backwards from its end and from two thirds, always from the annotated box and from `--jitter` wrong ones.  Prints
 precision at 20 px / AUC in percent, the mean over all runs (strict convention: frames without a target do not count).
 """
 
@@ -26,13 +26,13 @@ def parts(sequence: Sequence) -> Iterator[Sequence]:
     """The sequence from its other starts, each moved on to the next frame in which the target is annotated."""
     count = min(len(sequence.frames), len(sequence.truth))
     forward, usable = np.arange(count), np.all(np.nan_to_num(sequence.truth)[:, 2:] > 0, axis=1)
-    ways = {
+    orders = {
         "from-a-sixth": forward[count // 6 :],
         "from-a-third": forward[count // 3 :],
         "backwards": forward[::-1],
         "backwards-from-two-thirds": forward[: 2 * count // 3][::-1],
     }
-    for name, frames in ways.items():
+    for name, frames in orders.items():
         order = frames[np.argmax(usable[frames]) :]
         yield replace(
             sequence,
