@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from racf.box import Box
+from racf.errors import UsageError
 from racf.evaluate.boxfiles import read_boxes, write_boxes
 from racf.evaluate.images import frames_of
 from racf.evaluate.metrics import Boxes, Convention, Score, score
@@ -136,7 +137,7 @@ def _writer(overlay: Path | None, source: Path) -> Generator[_Video | None]:
         yield None
         return
     if overlay.suffix.lower() not in VIDEO_SUFFIXES:
-        raise ValueError(f"an overlay is a video file ({', '.join(VIDEO_SUFFIXES)}), not {overlay}")
+        raise UsageError(f"an overlay is a video file ({', '.join(VIDEO_SUFFIXES)}), not {overlay}")
     video = _Video(overlay, _fps_of(source))
     try:
         yield video

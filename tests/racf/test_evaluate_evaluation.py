@@ -16,6 +16,7 @@ from racf.evaluate.boxfiles import write_boxes
 from racf.evaluate.images import read_frame
 from racf.evaluate.imports import import_boxes
 from racf.evaluate.metrics import interval_of_mean
+from sim.clip import write
 from tests.racf.test_cli import racf as command
 
 NAMES = ("one", "two", "three")
@@ -227,6 +228,19 @@ def test_track_writes_confidence_and_draws_what_it_found(data, tmp_path, capsys)
     changed = np.abs(shown[3].astype(int) - plain).max(axis=2) > 60
     x, y = round(rows["x_px"][3]), round(rows["y_px"][3])
     assert changed[y : y + 20, x - 1 : x + 2].mean() > 0.5  # the left edge of the box
+
+
+def test_a_video_is_tracked_from_its_annotation_and_keeps_its_rate(tmp_path, capsys):
+    truth = write(tmp_path / "clip.mp4", 8)
+    film = tmp_path / "film.avi"
+    options = ["--truth", truth, "--out", tmp_path / "boxes.txt", "--overlay", film]
+    assert command("track", tmp_path / "clip.mp4", *options) == 0
+    assert "8 boxes" in capsys.readouterr().err
+    assert cv2.VideoCapture(str(film)).get(cv2.CAP_PROP_FPS) == pytest.approx(30)
+    assert command("track", tmp_path / "clip.mp4", *options[:-1], tmp_path / "film.gif") == 2
+    assert "an overlay is a video file (.mp4, .avi, .mkv)" in capsys.readouterr().err
+    assert command("track", truth, "--init", "1,2,30,40", "--out", tmp_path / "boxes.txt") == 1
+    assert "is not a video that OpenCV can read" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
