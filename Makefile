@@ -6,7 +6,7 @@ SOURCE ?= $(wildcard $(or $(RACF_DATA),../shared/data))
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: setup check test test-extras bench faults demo lock format clean
+.PHONY: setup check test test-extras bench study faults demo lock format clean
 
 setup: $(STAMP)
 
@@ -43,6 +43,10 @@ $(BENCH)/.installed: pyproject.toml requirements.lock
 
 bench: $(BENCH)/.installed
 	$(BENCH)/bin/racf bench $(SOURCE)
+
+# Which settings hold on sequences they were not chosen on: the tables of docs/study.md.  SOURCE as unpacked folders.
+study: setup
+	$(BIN)/python -m tools.studies.halves $(SOURCE) --out out/study
 
 # Every fault, flown; a minute of garbage into each reader; a million wishes through the gate; a minute's flight each.
 faults: setup

@@ -13,7 +13,7 @@ other way round; both reports together are the two-fold figure, over all twenty 
 is judged by.  Differences are paired by sequence, with a 95 % bootstrap interval over sequences.
 
 Without `--tracker` it runs FAMILIES and prints every table of docs/study.md; with it, only the trackers named.
-Finished runs are kept in OUT and found again, whatever else is asked for.
+Finished runs are kept in OUT, and a later run with other trackers goes on from there.
 """
 
 import argparse
@@ -27,7 +27,7 @@ import numpy as np
 from racf.evaluate.benchmarks import Sequence, read_benchmark
 from racf.evaluate.metrics import interval_of_mean, score
 from racf.evaluate.progress import bar
-from racf.evaluate.runner import Run, Task, run_all, tasks
+from racf.evaluate.runner import SequenceRun, Task, run_all, tasks
 from racf.evaluate.stored import read_stored
 from racf.evaluate.trackers import TrackerSpec
 
@@ -109,7 +109,7 @@ def todo(spec: TrackerSpec, sequence: Sequence) -> list[Task]:
     return [*tasks(spec, sequence, JITTERED), *(t for part in inner_starts(sequence) for t in tasks(spec, part, 0))]
 
 
-def figures(label: str, sequences: Iterable[Sequence], runs: Mapping[tuple[str, str, int], Run]) -> Figures:
+def figures(label: str, sequences: Iterable[Sequence], runs: Mapping[tuple[str, str, int], SequenceRun]) -> Figures:
     """Of each sequence the mean over its starts."""
     means: dict[str, Pair] = {}
     for sequence in sequences:
