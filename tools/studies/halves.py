@@ -64,7 +64,20 @@ CLAIMS = (
     ("racf", AUTHORS),
     ("racf,robust", AUTHORS),
 )
-FAMILIES: dict[str, Family] = {}
+_KIN = "learning_rate=0.013,label_sigma=0.0625"  # BACF's rate and the label of BACF and ARCF
+FAMILIES = {
+    "The paper's regularisation and its kin's label and rate": Family(
+        "racf-",
+        (
+            f"racf-,{_KIN},ridge=0.1,temporal=1",
+            f"racf-,{_KIN},ridge=0.01,spatial=0.05,temporal=1",
+            f"racf-,{_KIN},ridge=0.01,spatial=0.05",
+            f"racf-,{_KIN},ridge=0.01,spatial=0,temporal=0",
+        ),
+    ),
+    "The same without the spatial and temporal terms": Family("racf--", (f"racf--,{_KIN},ridge=0.01",)),
+    "The residue": Family(f"racf-,{_KIN},ridge=0.01", (f"racf-,{_KIN},ridge=0.01,residue=0",)),
+}
 
 Pair = tuple[float, float]  # precision at 20 px and AUC, percent
 Figures = Mapping[str, Pair]  # of each sequence
