@@ -27,7 +27,7 @@ class Scenario:
     """One flight to be flown well.
 
     `height_m` and `standoff_m` (along the ground) are where it starts and what the servo is to keep; the camera hangs
-    so that the target is in the picture's middle row there at `cruise_m_s`.  `limits` are the fields of the gate's
+    so that the target is in the image's middle row there at `cruise_m_s`.  `limits` are the fields of the gate's
     limits that this flight needs to differ, `size_m` is about the target's sqrt(width x height).
     """
 
@@ -189,11 +189,11 @@ _ALL = (
         for ms in (100, 200, 400)
     ),
     *(
-        replace(base, name=f"{base.name}-{fps}fps", about=f"{base.about}, {fps} pictures a second", frames_per_s=fps)
+        replace(base, name=f"{base.name}-{fps}fps", about=f"{base.about}, {fps} frames/s", frames_per_s=fps)
         for base, fps in ((WALK, 10), (WALK, 20), (RUN, 60))
     ),
     replace(WALK, name="dusk", about="a walker in low light: blur, noise, compression", light=0.45, optics=DUSK),
-    replace(RUN, name="drops", about="a runner, every fifth picture is lost", drop_share=0.2),
+    replace(RUN, name="drops", about="a runner, every fifth frame is lost", drop_share=0.2),
     replace(
         WALK,
         name="lens",

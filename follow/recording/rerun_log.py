@@ -36,6 +36,7 @@ MODE_COLOURS = {
     Mode.ENDED: GREY,
 }
 TIMED = re.compile(r"\d+\.\d s: ")  # a message that states the time of the flight itself
+SEARCH, TRUTH, TARGET = 30.0, 31.0, 32.0  # draw order: a later box covers an earlier one
 NUMBER = re.compile(r"-?\d+(\.\d+)?")
 
 
@@ -69,7 +70,7 @@ class RerunRecording:
                 self._recording.log("image", rr.EncodedImage(contents=jpeg.tobytes(), media_type="image/jpeg"))
         if tick.track is not None:
             self._track(tick.track)
-        self._box("image/truth", scene.truth, YELLOW, "truth")
+        self._box("image/truth", scene.truth, YELLOW, None, TRUTH)
         self._controls(tick)
         self._new_mode(scene)
         self._new_notes(scene)
@@ -122,8 +123,8 @@ class RerunRecording:
     def _track(self, track: Track) -> None:
         log = self._recording.log
         colour = GREEN if track.found else RED
-        self._box("image/target", track.box, colour, f"{track.confidence:.2f}" if track.found else "lost")
-        self._box("image/search", track.search, GREY, None)
+        self._box("image/target", track.box, colour, f"{track.confidence:.2f}" if track.found else "lost", TARGET)
+        self._box("image/search", track.search, GREY, None, SEARCH)
         log("track/confidence", rr.Scalars(track.confidence))
         log("track/refined", rr.Scalars(float(track.refined)))
         log("track/sharpness", rr.Scalars([track.psr, track.apce]))
@@ -159,7 +160,7 @@ class RerunRecording:
         for stage, ms in tick.stage_ms.items():
             log(["timings", stage], rr.Scalars(ms))
 
-    def _box(self, path: str, box: Box | None, colour: tuple[int, int, int], label: str | None) -> None:
+    def _box(self, path: str, box: Box | None, colour: tuple[int, int, int], label: str | None, order: float) -> None:
         if box is None:
             if path in self._shown:
                 self._shown.remove(path)
@@ -174,6 +175,7 @@ class RerunRecording:
             labels=labels,
             show_labels=labels is not None,
             radii=[-1.0],
+            draw_order=order,
         )
         self._recording.log(path, shape)
 
@@ -202,7 +204,9 @@ class RerunRecording:
 def layout(play_state: Literal["paused", "playing", "following"] = "paused") -> rrb.Blueprint:
     """Image, modes and messages on the left; range, confidence and commands over time on the right."""
     left = rrb.Vertical(
-        rrb.Spatial2DView(origin="/image", name="Camera: target (green found, red lost), search region, truth"),
+        rrb.Spatial2DView(
+            origin="/image", name="Camera: target (green found, red lost), truth (yellow), search region (grey)"
+        ),
         rrb.StateTimelineView(origin="/", contents=["/mode", "/tracker"], name="Mode of the gate, target in view"),
         rrb.Tabs(
             rrb.TextLogView(origin="/messages", name="Messages"),
@@ -215,7 +219,9 @@ def layout(play_state: Literal["paused", "playing", "following"] = "paused") -> 
         rrb.TimeSeriesView(
             origin="/", contents=["/vehicle/height", "/target/range"], name="Height, range to the target, m"
         ),
-        rrb.TimeSeriesView(origin="/track/confidence", name="Confidence 0..1"),
+        rrb.TimeSeriesView(
+            origin="/track/confidence", name="Confidence", axis_y=rrb.ScalarAxis(range=(0.0, 1.0), zoom_lock=True)
+        ),
         rrb.TimeSeriesView(
             origin="/", contents=["/desired/velocity", "/setpoint/velocity"], name="Velocity: desired and setpoint, m/s"
         ),

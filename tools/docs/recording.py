@@ -1,6 +1,6 @@
-"""Draws docs/recording.jpg: the viewer's first sight of a recording, by the viewer itself, without a screen.
+"""Draw docs/recording.jpg: what the viewer first shows of a recording, by the viewer itself, without a screen.
 
-    python -m tools.docs.recording [flight.rrd]     flies eight seconds behind a walker where no recording is given
+    python -m tools.docs.recording [flight.rrd]     flies eight seconds behind a walker if no recording is given
 
 Needs Xvfb and a software Vulkan (Debian: xvfb, mesa-vulkan-drivers).
 """
@@ -23,7 +23,7 @@ HERE = Path(__file__).parents[2] / "docs"
 SIZE = (1600, 1000)
 
 
-def draw(recording: Path, picture: Path) -> None:
+def draw(recording: Path, image_path: Path) -> None:
     """Show the recording's last moment in the viewer and save what it shows."""
     with tempfile.TemporaryDirectory() as folder:
         shot, blueprint = Path(folder) / "shot.png", Path(folder) / "layout.rbl"
@@ -38,12 +38,12 @@ def draw(recording: Path, picture: Path) -> None:
             env={**os.environ, "LIBGL_ALWAYS_SOFTWARE": "1", "XDG_RUNTIME_DIR": folder, "RUST_LOG": "error"},
         )
         image = cv2.resize(cv2.imread(str(shot)), SIZE, interpolation=cv2.INTER_AREA)
-    cv2.imwrite(str(picture), image, [cv2.IMWRITE_JPEG_QUALITY, 85])
+    cv2.imwrite(str(image_path), image, [cv2.IMWRITE_JPEG_QUALITY, 85])
 
 
 if __name__ == "__main__":
     given = sys.argv[1:]
-    # The viewer takes its picture before a long recording is loaded whole.
+    # The viewer takes its screenshot before it has loaded a long recording.
     SCENARIOS["docs"] = replace(SCENARIOS["look-alike"], duration_s=8.0)
     if not given and main(["sim", "docs", "--out", "out/docs"]) != 0:
         sys.exit(1)

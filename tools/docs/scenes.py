@@ -1,4 +1,4 @@
-"""Draw docs/scenes.png from the scenarios' own worlds, and measure how fast pictures are drawn.
+"""Draw docs/scenes.png from the scenarios' own worlds, and measure how fast frames are drawn.
 
 python -m tools.docs.scenes [--out docs/scenes.png] [--speed]
 """
@@ -17,7 +17,7 @@ from sim.dynamics import VehicleTruth
 from sim.scenarios import SCENARIOS, build
 
 PANELS = [("walker", 2, 4.0), ("trees", 1, 2.0), ("cyclist", 3, 5.0), ("car", 4, 6.0)]  # scenario, seed, time
-BUDGET_MS = 1000.0 / 30.0 / 5.0  # 5 times faster than 30 pictures a second
+BUDGET_MS = 1000.0 / 30.0 / 5.0  # 5 times faster than 30 frames/s
 
 
 def panel(name: str, seed: int, t_s: float) -> np.ndarray:
@@ -39,7 +39,7 @@ def panel(name: str, seed: int, t_s: float) -> np.ndarray:
 
 
 def speed(name: str, seconds: float = 1.0) -> tuple[float, float]:
-    """CPU time of one core, ms per picture: median and 95th percentile, in flight, with the vehicle's own."""
+    """CPU time of one core, ms per frame: median and 95th percentile, in flight, with the vehicle's own."""
     scenario = replace(SCENARIOS[name], duration_s=seconds)
     camera, _, _ = build(scenario, 0, Autopilot.PX4)
     spent = []
@@ -53,7 +53,7 @@ def speed(name: str, seconds: float = 1.0) -> tuple[float, float]:
 
 
 def distinct() -> list[str]:
-    """The scenarios whose pictures differ, and not only when and whether they come."""
+    """The scenarios whose images differ, and not only when and whether they come."""
     scenes = {}
     for name, scenario in SCENARIOS.items():
         scene = replace(scenario, name="", about="", latency_s=0.0, drop_share=0.0, frames_per_s=30.0)
@@ -65,7 +65,7 @@ def speeds(rounds: int = 4) -> None:
     """Print a table of all distinct scenes.  Of some rounds the least counts: others on the machine only add time."""
     names = distinct()
     measured = [[speed(name) for name in names] for _ in range(rounds)]
-    print(f"budget {BUDGET_MS:.1f} ms a picture\n| scenario | median, ms | 95th percentile, ms |\n|{'---|' * 3}")
+    print(f"budget {BUDGET_MS:.1f} ms a frame\n| scenario | median, ms | 95th percentile, ms |\n|{'---|' * 3}")
     for name, spent in zip(names, zip(*measured, strict=True), strict=True):
         median, late = min(spent)
         print(f"| `{name}` | {median:.1f} | {late:.1f} |")
@@ -80,8 +80,8 @@ def main() -> None:
     if arguments.speed:
         speeds()
         return
-    pictures = [panel(*what) for what in PANELS]
-    sheet = np.vstack([np.hstack(pictures[:2]), np.hstack(pictures[2:])])
+    images = [panel(*what) for what in PANELS]
+    sheet = np.vstack([np.hstack(images[:2]), np.hstack(images[2:])])
     cv2.imwrite(str(arguments.out), sheet, [cv2.IMWRITE_PNG_COMPRESSION, 9])
 
 
