@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from follow.config import PRESETS, TargetKind
-from follow.flight.parameters import PARAMETERS
+from follow.flight.parameters import QUESTIONS
 from follow.messages import Cause
 from follow.recording.rows import COLUMNS
 from follow.recording.summary import Figures
@@ -72,15 +72,16 @@ def test_every_link_of_a_page_leads_somewhere(page):
         assert (page.parent / path).exists(), path
 
 
-def test_the_parameters_of_the_first_flight_are_those_that_doctor_checks():
-    lines = "\n".join(line for line in FIRST.splitlines() if line.startswith("| `"))
-    for wanted in PARAMETERS.values():
-        for parameter in wanted:
-            if parameter.is_right is None:
-                continue
-            value = re.search(rf"`{parameter.name}` (\S+)", lines)
-            assert value, parameter.name
-            assert value[1] == "without" or parameter.is_right(float(value[1])), parameter.name
+def test_the_parameters_of_the_first_flight_are_as_doctor_wants_them():
+    section = FIRST.split("silent, or the pilot takes over")[1].split("\n## ")[0]
+    rules = {p.name: p for questions in QUESTIONS.values() for question in questions for p in question if p.rule}
+    advised = re.findall(r"`([A-Z_]+)` (\S+)", section)
+    assert len(advised) >= 10
+    for name, value in advised:
+        parameter = rules[name]
+        assert parameter.rule is not None
+        if value != "without":
+            assert parameter.rule.allows(float(value) * parameter.scale), f"{name} {value}: {parameter.rule.text}"
 
 
 def test_heights_and_kinds_of_target_are_those_of_the_program():
