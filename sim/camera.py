@@ -15,7 +15,7 @@ from follow.geometry import Intrinsics, camera_to_ned, heading_to_ned
 from follow.link import Link
 from follow.messages import NEVER, Frame
 from racf.box import Box
-from sim.dynamics import VehicleTruth
+from sim.dynamics import GroundHeight, VehicleTruth, level
 from sim.scene.drawing import View
 from sim.scene.ground import Image
 from sim.scene.optics import Lens, Optics, Sensor, smear
@@ -23,39 +23,40 @@ from sim.scene.rendering import Scene, Seen
 from sim.scene.world import ActorPose, World
 
 LENS_M = 0.2  # height of the lens of a vehicle that stands on the ground; a lens in the ground sees no plane
-ROUNDS_PER_S = 30.0  # the loop runs at least so often, with or without a picture
+ROUNDS_PER_S = 30.0  # at least, with or without a frame
+EXTRAPOLATED_S = 0.25  # at most: telemetry comes 10 times a second or faster; a stalled vehicle's image stands still
 
 
 @dataclass(frozen=True, slots=True)
 class CameraSettings:
-    """One camera: what it sees, how it hangs, how often and how late its pictures come."""
+    """One camera: what it sees, how it is mounted, its frame rate and how late its frames come."""
 
     intrinsics: Intrinsics = field(default_factory=lambda: Intrinsics.from_fov(640, 360, math.radians(80.0)))
     down_rad: float = 0.5  # below the vehicle's nose
     frames_per_s: float = 30.0
     latency_s: float = 0.0
-    drop_share: float = 0.0
+    drop_fraction: float = 0.0
     optics: Optics = field(default_factory=Optics)
 
 
 @dataclass(frozen=True, slots=True)
 class FrameTruth:
-    """What is true of one picture: when and from where it was taken; of each actor its place, box and visible share."""
+    """What is true of one frame: when and from where it was taken, each actor's pose, box and visible fraction."""
 
     index: int
     t_s: float
-    motion: VehicleTruth
-    places: tuple[ActorPose, ...]
+    vehicle: VehicleTruth
+    poses: tuple[ActorPose, ...]
     seen: tuple[Seen, ...]
 
     @property
     def box(self) -> Box | None:
-        """The target's whole box, which may reach beyond the picture; None behind the camera."""
+        """The target's whole box, which may reach beyond the image; None behind the camera."""
         return self.seen[0].box
 
     @property
     def visible(self) -> float:
-        """The share of the target that shows."""
+        """The fraction of the target that shows."""
         return self.seen[0].visible
 
 
@@ -71,10 +72,11 @@ class LiveFlight:
     """Any link in real time: the vehicle is where its telemetry says, carried on to now by its own velocity.
 
     The scene is put where the vehicle is at the first call: it begins at the scenario's start, looking along its yaw.
+    Heights are the vehicle's own, above the `ground` of the scene.
     """
 
-    def __init__(self, link: Link, start: VehicleTruth) -> None:
-        self.link, self.start = link, start
+    def __init__(self, link: Link, start: VehicleTruth, ground: GroundHeight = level) -> None:
+        self.link, self.start, self.ground = link, start, ground
         self._anchor: VehicleTruth | None = None
         self._due_s = 0.0
 
@@ -84,26 +86,28 @@ class LiveFlight:
         self._due_s = max(self._due_s + dt_s, now - dt_s) if self._due_s else now + dt_s
         if self._due_s > now:
             time.sleep(self._due_s - now)
-        m = self._motion()
+        m = self._telemetry()
         if self._anchor is None:
             self._anchor = m
         a = self._anchor
         turn = self.start.yaw_rad - a.yaw_rad
         north, east = heading_to_ned(m.north_m - a.north_m, m.east_m - a.east_m, turn)
         north_m_s, east_m_s = heading_to_ned(m.north_m_s, m.east_m_s, turn)
+        north, east = self.start.north_m + north, self.start.east_m + east
         return replace(
             m,
-            north_m=self.start.north_m + north,
-            east_m=self.start.east_m + east,
+            north_m=north,
+            east_m=east,
+            ground_m=self.ground(north, east),
             north_m_s=north_m_s,
             east_m_s=east_m_s,
             yaw_rad=math.remainder(m.yaw_rad + turn, math.tau),
         )
 
-    def _motion(self) -> VehicleTruth:
+    def _telemetry(self) -> VehicleTruth:
         s = self.link.state()
-        old = s.t_s - s.position_t_s if s.position_t_s > NEVER else 0.0
-        turned = s.t_s - s.attitude_t_s if s.attitude_t_s > NEVER else 0.0
+        old = min(s.t_s - s.position_t_s, EXTRAPOLATED_S) if s.position_t_s > NEVER else 0.0
+        turned = min(s.t_s - s.attitude_t_s, EXTRAPOLATED_S) if s.attitude_t_s > NEVER else 0.0
         return VehicleTruth(
             t_s=s.t_s,
             north_m=s.north_m + old * s.north_m_s,
@@ -122,8 +126,8 @@ class LiveFlight:
 class SceneCamera:
     """A camera that flies through a drawn world.
 
-    A picture shows the world at its own time `t_s` and is yielded `latency_s` later.  Rounds without a picture (a
-    slow or a late camera, a dropped frame) yield None, so that the loop runs at least ROUNDS_PER_S.
+    A frame shows the world at its own time `t_s` and is yielded `latency_s` later.  Rounds without a frame (a slow or
+    a late camera, a dropped frame) yield None, so that the loop runs at least ROUNDS_PER_S.
     """
 
     def __init__(
@@ -136,41 +140,47 @@ class SceneCamera:
         self._seed = seed
         self._truths: dict[int, FrameTruth] = {}
         self._begin: VehicleTruth | None = None
+        self._now: VehicleTruth | None = None
 
     def first(self) -> tuple[Frame, Box]:
-        """The picture at the start and the target's box in it, to begin tracking with.
+        """The frame at the start and the target's box in it, to begin tracking with.
 
         Raises ValueError when the target is not there.
         """
-        motion = self._start()
-        image, seen = self._draw(motion, 0.0, 0)
+        vehicle = self._start()
+        image, seen = self._draw(vehicle, 0.0, 0)
         if seen[0].box is None or seen[0].visible <= 0.0:
-            down_deg, height_m = math.degrees(self.settings.down_rad), max(0.0, -motion.down_m)
+            down_deg, height_m = math.degrees(self.settings.down_rad), max(0.0, vehicle.height_m)
             raise ValueError(
                 f"the target is not in the first image, seen from {height_m:.1f} m above the ground by a camera "
                 f"{down_deg:.0f} degrees below the nose: fly higher, or turn the camera"
             )
-        return Frame(image, motion.t_s, 0), seen[0].box
+        return Frame(image, vehicle.t_s, 0), seen[0].box
 
     def truth(self, index: int) -> FrameTruth:
-        """What is true of the picture with that index; raises KeyError when it was never yielded."""
+        """What is true of the frame with that index.  Raises KeyError if it was never yielded."""
         return self._truths[index]
 
+    def now(self) -> tuple[VehicleTruth, tuple[ActorPose, ...]]:
+        """Where the vehicle and each actor are in this round, with or without a frame."""
+        vehicle = self._now or self._start()
+        return vehicle, self.world.poses(vehicle.t_s - self._start().t_s)
+
     def frames(self) -> Iterator[Frame | None]:
-        """Each round's picture or None, until the scenario is over."""
+        """Each round's frame or None, until the scenario is over."""
         s = self.settings
         rounds = max(1, math.ceil(ROUNDS_PER_S / s.frames_per_s - 1e-9))
         round_s = 1.0 / (s.frames_per_s * rounds)
-        motion = self._start()
-        begin_s = motion.t_s
+        vehicle = self._start()
+        begin_s = vehicle.t_s
         waiting: deque[tuple[int, VehicleTruth]] = deque()
         count = 0
-        while motion.t_s - begin_s <= self.duration_s + 1e-9:
+        while vehicle.t_s - begin_s <= self.duration_s + 1e-9:
             if count % rounds == 0:
-                waiting.append((count // rounds, motion))
-            ready = waiting and motion.t_s - waiting[0][1].t_s >= s.latency_s - 1e-6
+                waiting.append((count // rounds, vehicle))
+            ready = waiting and vehicle.t_s - waiting[0][1].t_s >= s.latency_s - 1e-6
             yield self._deliver(*waiting.popleft(), begin_s) if ready else None
-            motion = self.flight.advance(round_s)
+            self._now = vehicle = self.flight.advance(round_s)
             count += 1
 
     def _start(self) -> VehicleTruth:
@@ -178,33 +188,32 @@ class SceneCamera:
             self._begin = self.flight.advance(0.0)
         return self._begin
 
-    def _deliver(self, index: int, motion: VehicleTruth, begin_s: float) -> Frame | None:
-        t_s = motion.t_s - begin_s
-        # The first picture never falls out: tracking begins with it.
-        if index > 0 and np.random.default_rng([self._seed, 6, index]).random() < self.settings.drop_share:
+    def _deliver(self, index: int, vehicle: VehicleTruth, begin_s: float) -> Frame | None:
+        t_s = vehicle.t_s - begin_s
+        # The first frame is never dropped: tracking begins with it.
+        if index > 0 and np.random.default_rng([self._seed, 6, index]).random() < self.settings.drop_fraction:
             return None
-        image, seen = self._draw(motion, t_s, index)
-        places = tuple(actor.route.at(t_s) for actor in self.world.actors)
-        self._truths[index] = FrameTruth(index, motion.t_s, motion, places, seen)
-        return Frame(image, motion.t_s, index)
+        image, seen = self._draw(vehicle, t_s, index)
+        self._truths[index] = FrameTruth(index, vehicle.t_s, vehicle, self.world.poses(t_s), seen)
+        return Frame(image, vehicle.t_s, index)
 
-    def _draw(self, motion: VehicleTruth, t_s: float, index: int) -> tuple[Image, tuple[Seen, ...]]:
-        view = self._view(motion)
+    def _draw(self, vehicle: VehicleTruth, t_s: float, index: int) -> tuple[Image, tuple[Seen, ...]]:
+        view = self._view(vehicle)
         image, seen = self.scene.draw(view, t_s)
         shutter = self.settings.optics.shutter_s
         before = replace(
-            motion,
-            north_m=motion.north_m - shutter * motion.north_m_s,
-            east_m=motion.east_m - shutter * motion.east_m_s,
-            yaw_rad=motion.yaw_rad - shutter * motion.yaw_rate_rad_s,
+            vehicle,
+            north_m=vehicle.north_m - shutter * vehicle.north_m_s,
+            east_m=vehicle.east_m - shutter * vehicle.east_m_s,
+            yaw_rad=vehicle.yaw_rad - shutter * vehicle.yaw_rate_rad_s,
         )
         image = self.lens.bend(image)
-        image = self._sensor.expose(image, smear(self._view(before), view), t_s, index)
+        image = self._sensor.expose(image, smear(self._view(before), view, vehicle.ground_m), t_s, index)
         return image, tuple(self.lens.bend_box(one) for one in seen)
 
     def _view(self, m: VehicleTruth) -> View:
         rotation = camera_to_ned(self.settings.down_rad, m.roll_rad, m.pitch_rad, m.yaw_rad)
-        return View(self.lens.ideal, rotation, np.array([m.north_m, m.east_m, min(m.down_m, -LENS_M)]))
+        return View(self.lens.ideal, rotation, np.array([m.north_m, m.east_m, min(m.down_m, -m.ground_m - LENS_M)]))
 
     def __enter__(self) -> Self:
         return self

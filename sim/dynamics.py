@@ -11,12 +11,22 @@ v = (forward + i·right)·exp(iψ).
 import cmath
 import math
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from follow.messages import HOVER, Autopilot, Setpoint
 from sim.measured import GRAVITY_M_S2, RESPONSES, ResponseModel, VelocityLoop
+
+GroundHeight = Callable[[float, float], float]
+"""(north, east) to the height of the ground there, metres above the local frame's origin."""
+
+
+def level(_north_m: float, _east_m: float) -> float:
+    """Ground at the height of the local frame's origin everywhere."""
+    return 0.0
+
 
 SUBSTEP_S = 0.01  # at most a quarter of the fastest fitted time constant
 
@@ -50,6 +60,12 @@ class VehicleTruth:
     yaw_rad: float = 0.0
     yaw_rate_rad_s: float = 0.0
     landed: bool = False
+    ground_m: float = 0.0  # height of the ground below it, above the local frame's origin
+
+    @property
+    def height_m(self) -> float:
+        """Height above the ground below it."""
+        return -self.down_m - self.ground_m
 
 
 @dataclass(slots=True)
@@ -116,11 +132,14 @@ class Vehicle:
         wind: Wind = CALM,
         seed: int = 0,
         response: ResponseModel | None = None,
+        ground: GroundHeight = level,
     ) -> None:
         self.autopilot = autopilot
         self.response = response or RESPONSES[autopilot]
         self.wind = wind
-        self.motion = replace(start, landed=start.down_m >= 0.0)
+        self._ground = ground
+        ground_m = ground(start.north_m, start.east_m)
+        self.motion = replace(start, landed=-start.down_m <= ground_m, ground_m=ground_m)
         self._random = np.random.default_rng(seed)
         self._gust = 0j
         self._drift = 0j
@@ -192,13 +211,14 @@ class Vehicle:
         self._turn(turning.yaw_rate_rad_s, dt)
         roll, pitch = lean(self._plane.a * cmath.exp(-1j * yaw))
         v, v_down = self._plane.v, self._lift.v.real
-        height_left = -now.down_m
-        landed = height_left - v_down * dt <= 0.0 and v_down >= 0.0
+        north, east, next_down = now.north_m + v.real * dt, now.east_m + v.imag * dt, now.down_m + v_down * dt
+        ground_m = self._ground(north, east)
+        landed = -next_down - ground_m <= 0.0 and -next_down - ground_m <= now.height_m
         self.motion = VehicleTruth(
             t_s=now.t_s + dt,
-            north_m=now.north_m + v.real * dt,
-            east_m=now.east_m + v.imag * dt,
-            down_m=0.0 if landed else now.down_m + v_down * dt,
+            north_m=north,
+            east_m=east,
+            down_m=0.0 - ground_m if landed else next_down,
             north_m_s=v.real,
             east_m_s=v.imag,
             down_m_s=v_down,
@@ -207,6 +227,7 @@ class Vehicle:
             yaw_rad=math.remainder(yaw + self._rate * dt, math.tau),
             yaw_rate_rad_s=self._rate,
             landed=landed,
+            ground_m=ground_m,
         )
 
     def _turn(self, command: float, dt: float) -> None:
@@ -238,7 +259,10 @@ class Vehicle:
         self._lift = _Loop(0.0, 0.0)
         self._rate = self._rate_ref = self._rate_integral = 0.0
         now = self.motion
-        self.motion = VehicleTruth(now.t_s + dt, now.north_m, now.east_m, 0.0, yaw_rad=now.yaw_rad, landed=True)
+        ground_m = self._ground(now.north_m, now.east_m)
+        self.motion = VehicleTruth(
+            now.t_s + dt, now.north_m, now.east_m, 0.0 - ground_m, yaw_rad=now.yaw_rad, landed=True, ground_m=ground_m
+        )
 
     def _fall(self, dt_s: float) -> None:
         """Motors off: free fall without rotation, down to the ground."""
@@ -247,9 +271,12 @@ class Vehicle:
         now = self.motion
         v_down = now.down_m_s + GRAVITY_M_S2 * dt_s
         down = now.down_m + v_down * dt_s
-        if now.landed or down >= 0.0:
+        north, east = now.north_m + now.north_m_s * dt_s, now.east_m + now.east_m_s * dt_s
+        ground_m = self._ground(north, east)
+        if now.landed or -down <= ground_m:
             self._rest(dt_s)
             return
-        north, east = now.north_m + now.north_m_s * dt_s, now.east_m + now.east_m_s * dt_s
         self._lift.v = self._lift.v_ref = v_down
-        self.motion = replace(now, t_s=now.t_s + dt_s, north_m=north, east_m=east, down_m=down, down_m_s=v_down)
+        self.motion = replace(
+            now, t_s=now.t_s + dt_s, north_m=north, east_m=east, down_m=down, down_m_s=v_down, ground_m=ground_m
+        )

@@ -74,8 +74,8 @@ def draw(
 def _paths(ax: Axes, rows: Sequence[ScoredTick], world: World) -> None:
     """Vehicle and target from above, with lines of sight every few seconds, walls and trees."""
     seen = [row for row in rows if row.truth is not None]
-    target = np.array([(p.east_m, p.north_m) for row in seen if row.truth for p in row.truth.places[:1]])
-    own = np.array([(row.truth.motion.east_m, row.truth.motion.north_m) for row in seen if row.truth])
+    target = np.array([(p.east_m, p.north_m) for row in seen if row.truth for p in row.truth.poses[:1]])
+    own = np.array([(row.truth.vehicle.east_m, row.truth.vehicle.north_m) for row in seen if row.truth])
     for block in world.blocks:
         n, e = heading_to_ned(block.length_m / 2, 0.0, block.heading_rad)
         ends = (block.east_m - e, block.east_m + e), (block.north_m - n, block.north_m + n)

@@ -26,9 +26,9 @@ MIDDLE_M = {Kind.WALKER: 0.9, Kind.RUNNER: 0.9, Kind.CYCLIST: 0.9, Kind.CAR: 0.7
 class Scenario:
     """One flight to be flown well.
 
-    `height_m` and `standoff_m` (along the ground) are where it starts and what the servo is to keep; the camera hangs
-    so that the target is in the image's middle row there at `cruise_m_s`.  `limits` are the fields of the gate's
-    limits that this flight needs to differ, `size_m` is about the target's sqrt(width x height).
+    `height_m` and `standoff_m` (along the ground) are where it starts and what the servo is to keep; the camera is
+    mounted so that the target is in the image's middle row there at `cruise_m_s`.  `limits` are the gate's limits that
+    differ in this flight, `size_m` is about the target's sqrt(width x height).
     """
 
     name: str
@@ -44,7 +44,7 @@ class Scenario:
     limits: dict[str, float] = field(default_factory=dict)
     frames_per_s: float = 30.0
     latency_s: float = 0.0
-    drop_share: float = 0.0
+    drop_fraction: float = 0.0
     wind: Wind = CALM
     optics: Optics = field(default_factory=Optics)
     distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
@@ -75,18 +75,20 @@ class Scenario:
         }
 
     def start(self, world: World, seed: int) -> VehicleTruth:
-        """Behind the target, looking at it but for a few degrees."""
+        """Behind the target, looking at it within a few degrees."""
         random = np.random.default_rng([seed, 7])
-        place = world.target(0.0)
-        behind = heading_to_ned(-self.standoff_m, 0.0, place.heading_rad)
-        velocity = heading_to_ned(self.cruise_m_s if self.rolling_start else 0.0, 0.0, place.heading_rad)
+        target = world.target(0.0)
+        behind = heading_to_ned(-self.standoff_m, 0.0, target.heading_rad)
+        velocity = heading_to_ned(self.cruise_m_s if self.rolling_start else 0.0, 0.0, target.heading_rad)
+        north, east = target.north_m + behind[0], target.east_m + behind[1]
         return VehicleTruth(
-            north_m=place.north_m + behind[0],
-            east_m=place.east_m + behind[1],
-            down_m=-self.height_m,
+            north_m=north,
+            east_m=east,
+            down_m=target.down_m - self.height_m,
             north_m_s=velocity[0],
             east_m_s=velocity[1],
-            yaw_rad=math.remainder(place.heading_rad + random.uniform(-0.08, 0.08), math.tau),
+            yaw_rad=math.remainder(target.heading_rad + random.uniform(-0.08, 0.08), math.tau),
+            ground_m=world.terrain.height_m(north, east),
         )
 
     def camera_settings(
@@ -96,7 +98,7 @@ class Scenario:
         down_rad: float | None = None,
         latency_s: float | None = None,
     ) -> CameraSettings:
-        """The camera of this flight, with another field of view, angle below the nose or latency where given."""
+        """The camera of this flight, with another field of view, angle below the nose or latency if given."""
         base = CameraSettings()
         fov_rad = self.fov_rad if fov_rad is None else fov_rad
         lens = base.intrinsics.from_fov(base.intrinsics.width, base.intrinsics.height, fov_rad)
@@ -105,7 +107,7 @@ class Scenario:
             self.down_rad(autopilot) if down_rad is None else down_rad,
             self.frames_per_s,
             self.latency_s if latency_s is None else latency_s,
-            self.drop_share,
+            self.drop_fraction,
             self.optics,
         )
 
@@ -113,9 +115,9 @@ class Scenario:
 def build(
     scenario: Scenario, seed: int, autopilot: Autopilot, mount: CameraSettings | None = None
 ) -> tuple[SceneCamera, SimLink, World]:
-    """The flight in lockstep: the camera's rounds drive the vehicle's time.  `mount` is another camera than its own."""
+    """The flight in lockstep: the camera's rounds drive the vehicle's time.  `mount` replaces its own camera."""
     world = scenario.world(seed)
-    vehicle = Vehicle(autopilot, scenario.start(world, seed), scenario.wind, seed)
+    vehicle = Vehicle(autopilot, scenario.start(world, seed), scenario.wind, seed, ground=world.terrain.height_m)
     link = SimLink(vehicle)
     camera = SceneCamera(world, link, mount or scenario.camera_settings(autopilot), scenario.duration_s, seed)
     return camera, link, world
@@ -126,7 +128,7 @@ def build_live(
 ) -> tuple[SceneCamera, World]:
     """The same scene for a vehicle that flies in real time behind any link."""
     world = scenario.world(seed)
-    flight = LiveFlight(link, scenario.start(world, seed))
+    flight = LiveFlight(link, scenario.start(world, seed), world.terrain.height_m)
     return SceneCamera(world, flight, mount or scenario.camera_settings(autopilot), seed=seed), world
 
 
@@ -193,7 +195,7 @@ _ALL = (
         for base, fps in ((WALK, 10), (WALK, 20), (RUN, 60))
     ),
     replace(WALK, name="dusk", about="a walker in low light: blur, noise, compression", light=0.45, optics=DUSK),
-    replace(RUN, name="drops", about="a runner, every fifth frame is lost", drop_share=0.2),
+    replace(RUN, name="drops", about="a runner, every fifth frame is lost", drop_fraction=0.2),
     replace(
         WALK,
         name="lens",

@@ -128,7 +128,7 @@ def distance(row: ScoredTick) -> float:
     """Along the ground from the vehicle to the target when the picture was taken, metres."""
     if row.truth is None:
         raise ValueError("a row without a picture has no distance")
-    place, motion = row.truth.places[0], row.truth.motion
+    place, motion = row.truth.poses[0], row.truth.vehicle
     return math.hypot(place.north_m - motion.north_m, place.east_m - motion.east_m)
 
 

@@ -41,13 +41,13 @@ class Mesh:
 
 
 class Frame3:
-    """Local axes of an actor: forward, right, up in metres from its place on the ground."""
+    """Local axes of an actor: forward, right, up in metres from the ground under its middle."""
 
-    def __init__(self, place: ActorPose, sun: Sun) -> None:
-        self.place = place
-        c, s = math.cos(place.heading_rad), math.sin(place.heading_rad)
+    def __init__(self, pose: ActorPose, sun: Sun) -> None:
+        self.pose = pose
+        c, s = math.cos(pose.heading_rad), math.sin(pose.heading_rad)
         north, east, down = sun.toward()
-        self.sun = (*ned_to_heading(north, east, place.heading_rad), -down)
+        self.sun = (*ned_to_heading(north, east, pose.heading_rad), -down)
         self.axes = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, -1.0]])
 
     def face(self, points: list[Point], colour: Colour) -> Draft:
@@ -75,7 +75,7 @@ class Frame3:
     def built(self, drafts: list[Draft]) -> Mesh:
         """The parts in NED."""
         mesh = Mesh.of(drafts)
-        ned = mesh.points @ self.axes + (self.place.north_m, self.place.east_m, 0.0)
+        ned = mesh.points @ self.axes + (self.pose.north_m, self.pose.east_m, self.pose.down_m)
         return replace(mesh, points=ned)
 
 
@@ -94,20 +94,20 @@ def shade(colour: Colour, light: float) -> Colour:
     return b, g, r
 
 
-def body(actor: Actor, place: ActorPose, sun: Sun) -> Mesh:
-    """The actor's parts where it is; faces turned away are still among them."""
-    frame = Frame3(place, sun)
-    return frame.built(drafts(frame, actor, place))
+def body(actor: Actor, pose: ActorPose, sun: Sun) -> Mesh:
+    """The actor's parts where it is, upright on any slope; faces turned away are still among them."""
+    frame = Frame3(pose, sun)
+    return frame.built(drafts(frame, actor, pose))
 
 
-def drafts(frame: Frame3, actor: Actor, place: ActorPose) -> list[Draft]:
+def drafts(frame: Frame3, actor: Actor, pose: ActorPose) -> list[Draft]:
     """The parts in the actor's own axes."""
     if actor.kind is Kind.CAR:
         return car(frame, actor.look)
-    phase = 2.0 * math.pi * place.way_m / GAITS[actor.kind].cycle_m
+    phase = 2.0 * math.pi * pose.distance_m / GAITS[actor.kind].cycle_m
     if actor.kind is Kind.CYCLIST:
         return cyclist(frame, actor.look, phase)
-    going = min(place.speed_m_s / GAITS[actor.kind].speed_m_s, 1.0)
+    going = min(pose.speed_m_s / GAITS[actor.kind].speed_m_s, 1.0)
     swing = (0.75 if actor.kind is Kind.RUNNER else 0.45) * going
     return person(frame, actor.look, phase, swing, lean=0.12 if actor.kind is Kind.RUNNER else 0.03)
 

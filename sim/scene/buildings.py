@@ -4,14 +4,16 @@ import numpy as np
 
 from sim.scene.bodies import AMBIENT, Draft, facing, shade
 from sim.scene.ground import block_corners
+from sim.scene.terrain import Terrain
 from sim.scene.world import Array, Block, Colour, Sun
 
 
-def built(block: Block, sun: Sun) -> list[Draft]:
-    """The faces of a building or of a piece of wall."""
+def built(block: Block, sun: Sun, terrain: Terrain) -> list[Draft]:
+    """The faces of a building or of a piece of wall; on a slope it is as high as stated at its middle."""
     corners = block_corners(block)
-    low = np.column_stack([corners, np.full(4, -block.above_m)])
-    high = low - (0, 0, block.height_m)
+    low = np.column_stack([corners, np.full(4, -terrain.heights(corners).min())])
+    top_m = terrain.height_m(block.north_m, block.east_m) + block.height_m
+    high = np.column_stack([corners, np.full(4, -top_m)])
     light = sun.toward()
     parts: list[Draft] = []
     for k in range(4):

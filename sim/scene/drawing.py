@@ -1,4 +1,4 @@
-"""Solid things as polygons in the picture, and how they are filled."""
+"""Solid things as polygons in the image, and how they are filled."""
 
 import math
 from dataclasses import dataclass
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from follow.geometry import Intrinsics
 from sim.scene.bodies import Mesh
 from sim.scene.ground import Image
+from sim.scene.terrain import Facet
 from sim.scene.trees import Sprite
 from sim.scene.world import ActorPose, Array, Colour
 
@@ -21,29 +22,31 @@ Polygon = tuple[NDArray[np.int32], Colour]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """Where a camera is and how it looks: `rotation` is camera axes to NED, `place` (3,) NED."""
+    """Where a camera is and how it looks: `rotation` is camera axes to NED, `position` (3,) NED."""
 
     camera: Intrinsics
     rotation: Array
-    place: Array
+    position: Array
 
     def project(self, points: Array) -> tuple[Array, Array]:
         """(N, 2) pixels of an ideal pinhole and (N,) depths; what lies behind has no meaning but its depth."""
-        seen = (points - self.place) @ self.rotation
+        seen = (points - self.position) @ self.rotation
         depth = seen[:, 2]
         safe = np.maximum(depth, 1e-3)[:, None]
         return seen[:, :2] / safe * (self.camera.fx, self.camera.fy) + (self.camera.cx, self.camera.cy), depth
 
-    def homography(self) -> Array:
-        """(3, 3) from (north, east, 1) on the ground to pixels."""
+    def homography(self, facet: Facet) -> Array:
+        """(3, 3) from (north, east, 1) on a plane of the ground to pixels times depth."""
         inner = np.array([[self.camera.fx, 0, self.camera.cx], [0, self.camera.fy, self.camera.cy], [0, 0, 1.0]])
-        ground_to_ned = np.array([[1, 0, -self.place[0]], [0, 1, -self.place[1]], [0, 0, -self.place[2]]])
+        north, east, down = self.position
+        below = [-facet.north_grade, -facet.east_grade, -facet.offset_m - down]
+        ground_to_ned = np.array([[1, 0, -north], [0, 1, -east], below])
         return np.asarray(inner @ self.rotation.T @ ground_to_ned)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drawn:
-    """One thing in the picture, ready to be filled: polygons in order, then perhaps a crown."""
+    """One thing in the image, ready to be filled: polygons in order, then perhaps a crown."""
 
     distance_m: float
     polygons: list[Polygon]
@@ -58,7 +61,7 @@ _COS, _SIN = np.cos(_ARC)[None, :, None], np.sin(_ARC)[None, :, None]
 
 
 def capsules(p: Array, q: Array, rp: Array, rq: Array) -> Array:
-    """(N, 10, 2) outlines of limbs between points (N, 2) of the picture, round at both ends with radii (N,)."""
+    """(N, 10, 2) outlines of limbs between points (N, 2) of the image, round at both ends with radii (N,)."""
     away = q - p
     along = away / np.maximum(np.sqrt((away * away).sum(axis=1)), 1e-6)[:, None]
     side = along[:, ::-1] * (-1.0, 1.0)
@@ -82,7 +85,7 @@ def outlined_parts(view: View, mesh: Mesh, points: Array | None = None) -> tuple
     pixels, depth = view.project(mesh.points if points is None else points)
     flat = fixed(pixels)
     first = mesh.starts[:-1]
-    # In the picture a face seen from outside turns clockwise: its first corner turns to the right.
+    # In the image a face seen from outside turns clockwise: its first corner turns to the right.
     u, w = pixels[first + 1] - pixels[first], pixels[np.minimum(first + 2, len(pixels) - 1)] - pixels[first + 1]
     shown = u[:, 0] * w[:, 1] - u[:, 1] * w[:, 0] > 0
     shown[mesh.limbs] = True
@@ -113,13 +116,13 @@ def outlined(distance_m: float, polygons: list[Polygon]) -> Drawn | None:
     return Drawn(distance_m, polygons, (float(low[0]), float(low[1])), (float(high[0]), float(high[1])))
 
 
-def drawn_body(view: View, place: ActorPose, mesh: Mesh) -> Drawn | None:
+def drawn_body(view: View, pose: ActorPose, mesh: Mesh) -> Drawn | None:
     """An actor: limbs from far to near, faces in the order of their body (hull, then cabin)."""
-    distance = math.hypot(place.north_m - view.place[0], place.east_m - view.place[1])
+    distance = math.hypot(pose.north_m - view.position[0], pose.east_m - view.position[1])
     polygons = outlines(view, mesh)
     if len(mesh.limbs) == len(mesh.colours) == len(polygons):
         first = mesh.starts[:-1]
-        middles = (mesh.points[first] + mesh.points[first + 1]) / 2 - view.place
+        middles = (mesh.points[first] + mesh.points[first + 1]) / 2 - view.position
         polygons = [polygons[k] for k in np.argsort(-(middles * middles).sum(axis=1), kind="stable").tolist()]
     return outlined(distance, polygons)
 
@@ -133,7 +136,7 @@ def fill(image: Image, thing: Drawn) -> None:
 
 
 def fill_mask(mask: Image, thing: Drawn, x0: int, y0: int, value: int) -> None:
-    """Fill a thing's silhouette on a mask whose first pixel is the picture's (x0, y0)."""
+    """Fill a thing's silhouette on a mask whose first pixel is the image's (x0, y0)."""
     for polygon, _ in thing.polygons:
         moved = polygon - (np.array([x0, y0], np.int32) << FRACTION)
         cv2.fillConvexPoly(mask, moved, (value,), cv2.LINE_8, FRACTION)

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.scene.terrain import Terrain
 from sim.scene.world import Block, Colour, Road, Tree, World, dense
 
 Image = NDArray[np.uint8]
@@ -18,8 +19,8 @@ DETAIL_CELL_M = 0.025
 DETAIL_SIZE = 512  # texels after which it repeats: 12.8 m
 DETAIL_TIMES = 4
 LEVELS = 6
-FAR_LEVELS = 2  # so many of them reach beyond the ground's edge, and OpenCV is slow where a texture has to wrap
-FAR_TIMES = 9  # odd, so that the middle one is where the ground is
+FAR_LEVELS = 2  # the coarsest: laid out many times, because OpenCV is slow where a texture has to wrap
+FAR_TIMES = 9  # times; odd, so that the middle one is where the ground is
 SHADE = 0.55  # light in shadow over light in the sun, a clear day
 
 FIELDS: tuple[Colour, ...] = (
@@ -37,7 +38,7 @@ class Ground:
     """`levels[k]` has texels of CELL_M·2^k; texel (row 0, column 0) of the finest begins at (`north_m`, `east_m`).
 
     The ground repeats; the coarsest copies hold it FAR_TIMES over, about the same middle.
-    They are BGRA as the scene's pictures are, the last channel unused.
+    They are BGRA like the scene's images, the last channel unused.
     """
 
     levels: tuple[Image, ...]
@@ -173,28 +174,32 @@ def blob(random: np.random.Generator, radius: float, count: int = 18) -> NDArray
 
 def shadows(shape: tuple[int, int], north_m: float, east_m: float, world: World) -> Image:
     """Light on the ground, 255 in the sun: what stands still throws shadow."""
+    terrain = world.terrain
     light = np.full(shape, 255, np.uint8)
     painter = Painter(light, north_m, east_m)
     sun_north, sun_east = world.sun.shadow()
     random = np.random.default_rng([world.seed, 3])
     dark = round(255 * SHADE)
     for block in world.blocks:
-        low = block_corners(block) + np.array([sun_north, sun_east]) * block.above_m
-        high = block_corners(block) + np.array([sun_north, sun_east]) * (block.above_m + block.height_m)
+        low = block_corners(block)
+        top_m = terrain.height_m(block.north_m, block.east_m) + block.height_m
+        high = terrain.cast(np.column_stack([low, np.full(4, -top_m)]), sun_north, sun_east)[:, :2]
         hull = cv2.convexHull(np.concatenate([low, high]).astype(np.float32))[:, 0].astype(np.float64)
         painter.area(hull, dark)
     for tree in world.trees:
-        painter.area(tree_shadow(tree, random, sun_north, sun_east), dark)
+        painter.area(tree_shadow(tree, terrain, random, sun_north, sun_east), dark)
     return np.asarray(cv2.GaussianBlur(light, (5, 5), 0), np.uint8)
 
 
-def tree_shadow(tree: Tree, random: np.random.Generator, sun_north: float, sun_east: float) -> NDArray[np.float64]:
+def tree_shadow(
+    tree: Tree, terrain: Terrain, random: np.random.Generator, sun_north: float, sun_east: float
+) -> NDArray[np.float64]:
     """A crown's shadow, drawn out along the sun's direction."""
-    middle = tree.height_m - tree.radius_m
+    middle = terrain.height_m(tree.north_m, tree.east_m) + tree.height_m - tree.radius_m
     outline = blob(random, tree.radius_m)
     along = np.array([sun_north, sun_east]) / max(math.hypot(sun_north, sun_east), 1e-6)
     outline += np.outer(outline @ along, along) * 0.4
-    return outline + np.array([tree.north_m + middle * sun_north, tree.east_m + middle * sun_east])
+    return outline + terrain.cast(np.array([[tree.north_m, tree.east_m, -middle]]), sun_north, sun_east)[0, :2]
 
 
 @lru_cache(maxsize=2)

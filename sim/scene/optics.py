@@ -1,4 +1,4 @@
-"""What lens, sensor and encoder do to a picture: distortion, motion blur, exposure, noise, compression."""
+"""What lens, sensor and encoder do to an image: distortion, motion blur, exposure, noise, compression."""
 
 import math
 from dataclasses import dataclass, replace
@@ -20,17 +20,17 @@ class Optics:
 
     shutter_s: float = 1 / 400
     noise: float = 2.0  # standard deviation in grey levels
-    light: float = 1.0  # how bright the picture comes out
-    swing: float = 0.0  # share by which automatic exposure goes up and down
-    swing_s: float = 6.0  # ... in this period
-    jpeg_quality: int | None = None  # None: raw pictures
+    light: float = 1.0  # brightness of the image
+    swing: float = 0.0  # fraction by which automatic exposure goes up and down
+    swing_s: float = 6.0  # period of that
+    jpeg_quality: int | None = None  # None: raw images
 
 
-NOISE_SIZE = (480, 800)  # rows and columns of noise from which each picture takes a random piece
+NOISE_SIZE = (480, 800)  # rows and columns of noise from which each image takes a random piece
 
 
 class Lens:
-    """Bends an ideal picture; with no distortion it does nothing."""
+    """Bends an ideal image; with no distortion it does nothing."""
 
     def __init__(self, camera: Intrinsics) -> None:
         self.camera = camera
@@ -42,7 +42,7 @@ class Lens:
         across, down = (columns.ravel() - camera.cx) / camera.fx, (rows.ravel() - camera.cy) / camera.fy
         seen = np.stack([across, down], axis=1).astype(np.float64)
         flat = undistort(camera, seen) * (camera.fx, camera.fy) + (camera.cx, camera.cy)
-        # The ideal picture reaches as far as the lens looks; a row more for the interpolation.
+        # The ideal image reaches as far as the lens looks; a row more for the interpolation.
         beyond = np.maximum(-flat.min(axis=0), flat.max(axis=0) - (camera.width, camera.height))
         x, y = np.ceil(np.maximum(beyond, 0) + 1).astype(int).tolist()
         self.ideal = replace(
@@ -57,7 +57,7 @@ class Lens:
         self._from_y = (flat[:, 1] + y - 0.5).reshape(rows.shape).astype(np.float32)
 
     def bend(self, image: Image) -> Image:
-        """The picture as the lens gives it: BGR from BGRA."""
+        """The image as the lens gives it: BGR from BGRA."""
         bent = cv2.remap(image, self._from_x, self._from_y, cv2.INTER_LINEAR) if self.bent else image
         return np.asarray(cv2.cvtColor(bent, cv2.COLOR_BGRA2BGR), np.uint8)
 
@@ -66,9 +66,9 @@ class Lens:
         if not self.bent or seen.box is None:
             return seen
         b, i, c = seen.box, self.ideal, self.camera
-        share = np.linspace(0, 1, 5)
-        x = np.concatenate([b.x + share * b.w, b.x + share * b.w, np.full(5, b.x), np.full(5, b.x + b.w)])
-        y = np.concatenate([np.full(5, b.y), np.full(5, b.y + b.h), b.y + share * b.h, b.y + share * b.h])
+        side = np.linspace(0, 1, 5)
+        x = np.concatenate([b.x + side * b.w, b.x + side * b.w, np.full(5, b.x), np.full(5, b.x + b.w)])
+        y = np.concatenate([np.full(5, b.y), np.full(5, b.y + b.h), b.y + side * b.h, b.y + side * b.h])
         points = distort(c, np.stack([(x - i.cx) / i.fx, (y - i.cy) / i.fy], axis=1)) * (c.fx, c.fy) + (c.cx, c.cy)
         low, high = points.min(axis=0), points.max(axis=0)
         return Seen(Box(float(low[0]), float(low[1]), *(high - low).tolist()), seen.visible)
@@ -85,7 +85,7 @@ class Sensor:
         self._more, self._less = (np.clip(np.rint(part), 0, 255).astype(np.uint8) for part in (sample, -sample))
 
     def expose(self, image: Image, smear: tuple[float, float], t_s: float, index: int) -> Image:
-        """The picture number `index`, taken at `t_s` while its content moved by `smear` pixels."""
+        """The image number `index`, taken at `t_s` while its content moved by `smear` pixels."""
         o = self.optics
         if max(abs(smear[0]), abs(smear[1])) > 0.7:
             image = np.asarray(cv2.filter2D(image, -1, streak(smear)), np.uint8)
@@ -94,7 +94,7 @@ class Sensor:
             image = np.asarray(cv2.convertScaleAbs(image, alpha=light), np.uint8)
         if o.noise > 0:
             rows, columns = image.shape[:2]
-            random = np.random.default_rng([self._seed, 5, index])  # by index: any picture can be drawn again
+            random = np.random.default_rng([self._seed, 5, index])  # by index: any image can be drawn again
             y, x = random.integers(0, (NOISE_SIZE[0] - rows, NOISE_SIZE[1] - columns)).tolist()
             piece = slice(y, y + rows), slice(x, x + columns)
             lighter = cv2.add(image, self._more[piece])
@@ -110,20 +110,23 @@ def streak(smear: tuple[float, float]) -> NDArray[np.float32]:
     reach = math.ceil(max(abs(smear[0]), abs(smear[1])) / 2)
     kernel = np.zeros((2 * reach + 1, 2 * reach + 1), np.float32)
     count = 8 * reach + 1
-    for share in np.linspace(-0.5, 0.5, count):
-        x, y = reach + share * smear[0], reach + share * smear[1]
+    for part in np.linspace(-0.5, 0.5, count):
+        x, y = reach + part * smear[0], reach + part * smear[1]
         kernel[round(y), round(x)] += 1.0 / count
     return kernel
 
 
-def smear(before: View, now: View) -> tuple[float, float]:
-    """How far the ground in the picture's middle moves between two views, pixels; still when it shows the sky."""
+def smear(before: View, now: View, ground_m: float = 0.0) -> tuple[float, float]:
+    """How far the ground in the image's middle moves between two views, pixels; still when it shows the sky.
+
+    `ground_m` is the height of that ground, as if it were level.
+    """
     c = now.camera
     ray = now.rotation @ np.array([0.0, 0.0, 1.0])
-    point = now.place + ray * (-now.place[2] / ray[2] if ray[2] > 0.05 else 100.0)
+    point = now.position + ray * ((-now.position[2] - ground_m) / ray[2] if ray[2] > 0.05 else 100.0)
     pixels, depth = before.project(point[None])
     if depth[0] < 0.1:
         return 0.0, 0.0
-    longest = 40.0  # pixels; more than that is no picture any more
+    longest = 40.0  # pixels; beyond that nothing can be recognised
     x, y = c.cx - float(pixels[0, 0]), c.cy - float(pixels[0, 1])
     return max(-longest, min(longest, x)), max(-longest, min(longest, y))

@@ -1,4 +1,4 @@
-"""What is in the world and how it moves: actors, walls, buildings, trees, the sun.  Local NED, ground at 0."""
+"""What is in the world and how it moves: actors, walls, buildings, trees, the sun, the ground's height.  Local NED."""
 
 import itertools
 import math
@@ -7,6 +7,8 @@ from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
+
+from sim.scene.terrain import LEVEL, Terrain
 
 Array = NDArray[np.float64]
 Colour = tuple[int, int, int]  # BGR, as OpenCV has it
@@ -69,13 +71,14 @@ class Route:
 
 @dataclass(frozen=True, slots=True)
 class ActorPose:
-    """An actor's place, heading (radians clockwise from north, unwrapped), speed and the way that it has come."""
+    """Where an actor's feet are, its heading (clockwise from north, unwrapped), speed and the distance it has gone."""
 
     north_m: float
     east_m: float
     heading_rad: float
     speed_m_s: float
-    way_m: float
+    distance_m: float
+    down_m: float = 0.0
 
 
 def route(kind: Kind, legs: tuple[Leg, ...], duration_s: float) -> Route:
@@ -144,10 +147,7 @@ class Actor:
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """A box on the ground: a building or a piece of wall; `heading_rad` turns its length from north.
-
-    With `above_m` it floats: the deck of a footbridge.
-    """
+    """A box on the ground: a building or a piece of wall; `heading_rad` turns its length from north."""
 
     north_m: float
     east_m: float
@@ -158,7 +158,6 @@ class Block:
     colour: Colour = (150, 165, 180)
     roof: Colour = (70, 80, 130)
     windows: bool = False
-    above_m: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,6 +207,7 @@ class World:
     blocks: tuple[Block, ...] = ()
     trees: tuple[Tree, ...] = ()
     roads: tuple[Road, ...] = ()
+    terrain: Terrain = LEVEL
     sun: Sun = Sun()
     seed: int = 0
     keep_clear_m: float = 14.0
@@ -215,7 +215,17 @@ class World:
 
     def target(self, t_s: float) -> ActorPose:
         """Where the target is."""
-        return self.actors[0].route.at(t_s)
+        return self._pose(self.actors[0], t_s)
+
+    def poses(self, t_s: float) -> tuple[ActorPose, ...]:
+        """Where each actor is, the target first."""
+        return tuple(self._pose(actor, t_s) for actor in self.actors)
+
+    def _pose(self, actor: Actor, t_s: float) -> ActorPose:
+        pose = actor.route.at(t_s)
+        if not self.terrain.points:
+            return pose
+        return replace(pose, down_m=-self.terrain.height_m(pose.north_m, pose.east_m))
 
 
 def wall(

@@ -13,6 +13,7 @@ from sim.dynamics import Vehicle, VehicleTruth
 from sim.link import SimLink
 from sim.scenarios import SCENARIOS, build
 from sim.scene.rendering import Seen
+from sim.scene.terrain import slope
 from sim.scene.world import GAITS, ActorPose, Kind, Leg, route
 from sim.score import ScoredTick, score
 
@@ -48,6 +49,38 @@ def test_the_camera_of_a_vehicle_on_the_ground_draws_and_says_in_one_sentence_th
         camera.first()
 
 
+@both
+def test_a_vehicle_lands_on_the_slope_and_its_truth_knows_the_height_above_it(autopilot):
+    terrain = slope(0.1, 0.0, 60.0)
+    start = VehicleTruth(north_m=30.0, down_m=-terrain.height_m(30.0, 0.0) - 1.5)
+    vehicle = Vehicle(autopilot, start, ground=terrain.height_m)
+    assert vehicle.motion.height_m == pytest.approx(1.5)
+    assert not vehicle.motion.landed
+    for _ in range(200):
+        vehicle.step(Setpoint(down_m_s=0.5), 1 / 30)
+    m = vehicle.motion
+    assert m.landed
+    assert m.height_m == 0.0
+    assert -m.down_m == m.ground_m == terrain.height_m(m.north_m, m.east_m) > 2.0
+    for _ in range(60):
+        vehicle.step(Setpoint(down_m_s=-1.0), 1 / 30)
+    assert not vehicle.motion.landed
+    assert vehicle.motion.height_m > 0.5
+    for _ in range(60):
+        vehicle.step(None, 1 / 30)  # motors off
+    assert vehicle.motion.landed
+    assert vehicle.motion.height_m == 0.0
+
+
+def test_a_vehicle_that_flies_level_into_a_hillside_ends_on_it():
+    terrain = slope(0.2, 10.0, 60.0)
+    vehicle = Vehicle(Autopilot.ARDUPILOT, VehicleTruth(down_m=-2.0, yaw_rad=0.0), ground=terrain.height_m)
+    for _ in range(600):
+        vehicle.step(Setpoint(forward_m_s=2.0), 1 / 30)
+    assert vehicle.motion.landed
+    assert vehicle.motion.ground_m == pytest.approx(2.0, abs=0.3)
+
+
 def test_there_are_at_least_twelve_scenarios_over_all_targets():
     assert len(SCENARIOS) >= 12
     assert {s.kind for s in SCENARIOS.values()} == set(Kind)
@@ -56,7 +89,7 @@ def test_there_are_at_least_twelve_scenarios_over_all_targets():
 
 
 @pytest.mark.parametrize(("latency_s", "fps"), [(0.0, 30.0), (0.1, 30.0), (0.4, 20.0), (0.2, 10.0), (0.0, 60.0)])
-def test_a_picture_comes_late_by_the_latency_and_says_when_it_was_taken(latency_s, fps):
+def test_a_frame_comes_late_by_the_latency_and_says_when_it_was_taken(latency_s, fps):
     scenario = replace(SCENARIOS["walker"], latency_s=latency_s, frames_per_s=fps, duration_s=1.5)
     camera, link, _ = build(scenario, 0, Autopilot.ARDUPILOT)
     camera.scene.draw = lambda view, t_s: (BLANK, NOTHING)
@@ -73,8 +106,8 @@ def test_a_picture_comes_late_by_the_latency_and_says_when_it_was_taken(latency_
     assert rounds >= 1.5 * 30  # a slow camera does not slow the loop down
 
 
-def test_dropped_pictures_leave_gaps_in_number_as_they_would_on_a_wire():
-    camera, _, _ = build(replace(SCENARIOS["walker"], drop_share=0.3, duration_s=5.0), 0, Autopilot.PX4)
+def test_dropped_frames_leave_gaps_in_number_as_they_would_on_a_wire():
+    camera, _, _ = build(replace(SCENARIOS["walker"], drop_fraction=0.3, duration_s=5.0), 0, Autopilot.PX4)
     camera.scene.draw = lambda view, t_s: (BLANK, NOTHING)
     indices = [f.index for f in camera.frames() if f is not None]
     assert indices[0] == 0

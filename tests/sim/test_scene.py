@@ -12,7 +12,9 @@ from sim.scenarios import SCENARIOS, build
 from sim.scene.bodies import body
 from sim.scene.drawing import View
 from sim.scene.optics import Lens, Optics, Sensor, streak
-from sim.scene.rendering import SKY, Scene, Seen
+from sim.scene.rendering import Scene, Seen
+from sim.scene.surface import SKY
+from sim.scene.terrain import LEVEL, Terrain, slope
 from sim.scene.world import Actor, Kind, Leg, Look, Sun, Tree, World, route, wall
 
 CAMERA = Intrinsics.from_fov(640, 360, math.radians(80.0))
@@ -31,7 +33,7 @@ def view(north_m=-9.0, east_m=0.0, height_m=6.0, down_deg=30.0, roll=0.0, pitch=
 
 
 def without(scene: Scene) -> Scene:
-    """The same place with nobody there."""
+    """The same world with nobody there."""
     scene.world = replace(scene.world, actors=standing(north_m=500.0).actors)
     return scene
 
@@ -43,33 +45,98 @@ POSES = [{}, {"roll": 0.3}, {"pitch": -0.2, "yaw": 0.2}, {"east_m": 3.0, "yaw": 
 def test_a_point_of_the_world_is_drawn_where_geometry_projects_it(pose):
     v = view(**pose)
     points = np.random.default_rng(0).uniform((5, -4, -3), (20, 4, 0), (50, 3))
-    pixels, depth = project(CAMERA, v.rotation, v.place, points)
+    pixels, depth = project(CAMERA, v.rotation, v.position, points)
     mine, mine_depth = v.project(points)
     np.testing.assert_allclose(mine, pixels, atol=1e-9)
     np.testing.assert_allclose(mine_depth, depth, atol=1e-9)
 
 
+UPHILL, DOWNHILL = slope(0.2, -30.0, 90.0), slope(-0.2, -30.0, 90.0, heading_rad=0.5)
+
+
+@pytest.mark.parametrize("terrain", [LEVEL, UPHILL, DOWNHILL], ids=["level", "up", "down"])
 @pytest.mark.parametrize("pose", POSES)
-def test_the_ground_lies_where_geometry_projects_it(pose):
-    """A white disc painted into the texture appears at its projected place."""
+def test_the_ground_lies_where_geometry_projects_it(pose, terrain):
+    """A white disc painted into the texture appears where its point of the ground is projected."""
     v = view(**pose)
+    v.position[2] -= terrain.height_m(*v.position[:2])
     north, east = 3.0, 1.5
-    scene = Scene(standing(), CAMERA)
-    ground = scene.ground
+    scene = Scene(standing(terrain=terrain), CAMERA)
+    ground = scene.surface.texture
     levels = tuple(np.full_like(level, 60) for level in ground.levels)
     for k, level in enumerate(levels):
         cell = 0.125 * 2**k
         before = (len(level) * cell - ground.size_m) / 2
-        place = (
+        texel = (
             round((east - ground.east_m + before) / cell - 0.5),
             round((north - ground.north_m + before) / cell - 0.5),
         )
-        cv2.circle(level, place, max(1, round(0.5 / cell)), (255, 255, 255, 0), -1)
-    scene.ground = type(ground)(levels, np.full_like(ground.detail, 128), ground.north_m, ground.east_m)
-    image = scene._ground(v)
+        cv2.circle(level, texel, max(1, round(0.5 / cell)), (255, 255, 255, 0), -1)
+    scene.surface.texture = replace(ground, levels=levels, detail=np.full_like(ground.detail, 128))
+    image = scene.surface.draw(v)
     rows, columns = np.nonzero(image[:, :, :3].min(axis=2) > 200)
-    expected, _ = project(CAMERA, v.rotation, v.place, [(north, east, 0.0)])
-    assert (columns.mean() + 0.5, rows.mean() + 0.5) == pytest.approx(tuple(expected[0]), abs=2.0)
+    expected, _ = project(CAMERA, v.rotation, v.position, [(north, east, -terrain.height_m(north, east))])
+    near = rows > np.median(rows) - 20  # the ground repeats, and a far copy of the disc may show
+    assert (columns[near].mean() + 0.5, rows[near].mean() + 0.5) == pytest.approx(tuple(expected[0]), abs=2.5)
+
+
+@pytest.mark.parametrize("terrain", [UPHILL, DOWNHILL], ids=["up", "down"])
+def test_a_slope_has_no_seams_and_its_facets_are_its_height(terrain):
+    """Along the heading the facets join, rise by the grade at most, and lie level beyond both ends."""
+    along = np.linspace(-60.0, 90.0, 3001)
+    c, s = math.cos(terrain.heading_rad), math.sin(terrain.heading_rad)
+    points = np.column_stack([along * c, along * s])
+    heights = terrain.heights(points)
+    grade = np.diff(heights) / np.diff(along)
+    assert abs(grade).max() == pytest.approx(0.2)
+    assert heights[0] == 0.0
+    assert abs(heights[-1]) == pytest.approx(0.2 * (90.0 - 12.0))
+    for facet in terrain.facets():
+        inside = (along >= facet.from_m) & (along < facet.to_m)
+        plane = facet.offset_m + points[inside] @ (facet.north_grade, facet.east_grade)
+        np.testing.assert_allclose(plane, heights[inside], atol=1e-9)
+    assert [terrain.height_m(*p) for p in points[::300].tolist()] == pytest.approx(heights[::300].tolist())
+
+
+def test_a_slope_that_is_too_short_for_its_gentle_ends_is_refused():
+    with pytest.raises(ValueError, match="no room for two blends"):
+        slope(0.1, 0.0, 20.0)
+
+
+@pytest.mark.parametrize("terrain", [LEVEL, UPHILL, DOWNHILL], ids=["level", "up", "down"])
+def test_a_shadow_falls_along_the_rays_of_the_sun_onto_the_ground(terrain):
+    points = np.random.default_rng(1).uniform((-20, -20, -2), (20, 20, -1), (40, 3))
+    points[:, 2] -= terrain.heights(points)
+    shadow = Sun(1.0, 0.6).shadow()
+    fallen = terrain.cast(points, *shadow)
+    drop = fallen[:, 2] - points[:, 2]
+    np.testing.assert_allclose(fallen[:, :2] - points[:, :2], drop[:, None] * shadow, atol=0.03)
+    np.testing.assert_allclose(-fallen[:, 2], terrain.heights(fallen) + 0.01, atol=1e-9)
+
+
+def test_a_crest_hides_what_is_behind_it_and_nothing_before_it():
+    ridge = Terrain(((0.0, 0.0), (10.0, 5.0), (20.0, 0.0)))
+    points = np.array([(5.0, 0.0, -2.6), (25.0, 0.0, 0.0), (25.0, 0.0, -9.1), (-5.0, 0.0, 0.0)])
+    assert ridge.hides(np.array([-10.0, 0.0, -2.0]), points).tolist() == [False, True, False, False]
+    assert ridge.hides(np.array([-10.0, 0.0, -30.0]), points).tolist() == [False] * 4
+    scene = Scene(standing(north_m=25.0, terrain=ridge), CAMERA)
+    low, high = view(-10.0, height_m=2.0, down_deg=0.0), view(-10.0, height_m=30.0, down_deg=40.0)
+    assert scene.draw(low, 0.0)[1][0].visible == 0.0
+    assert scene.draw(high, 0.0)[1][0].visible == 1.0
+
+
+@pytest.mark.parametrize("grade", [0.2, -0.2])
+def test_who_walks_on_a_slope_looks_the_same_from_the_same_side(grade):
+    """The camera goes up with the actor: the box is the one on level ground, and the body stands on the slope."""
+    terrain = slope(grade, -30.0, 90.0)
+    level, hill = Scene(standing(), CAMERA), Scene(standing(terrain=terrain), CAMERA)
+    v = view()
+    raised = replace(v, position=v.position - (0.0, 0.0, terrain.height_m(0.0, 0.0)))
+    assert hill.world.target(0.0).down_m == -terrain.height_m(0.0, 0.0) != 0.0
+    (flat,), (tilted,) = level.draw(v, 0.0)[1], hill.draw(raised, 0.0)[1]
+    assert (tilted.box.x, tilted.box.y, tilted.box.w, tilted.box.h) == pytest.approx(
+        (flat.box.x, flat.box.y, flat.box.w, flat.box.h), abs=0.1
+    )
 
 
 @pytest.mark.parametrize("kind", list(Kind))
@@ -80,7 +147,7 @@ def test_the_true_box_holds_the_body_and_nothing_more(kind, heading):
     scene = Scene(world, CAMERA)
     image, (seen,) = scene.draw(v, 0.0)
     points = body(world.actors[0], world.target(0.0), world.sun).points
-    pixels, _ = project(CAMERA, v.rotation, v.place, points)
+    pixels, _ = project(CAMERA, v.rotation, v.position, points)
     box = seen.box
     assert seen.visible == 1.0
     low, high = pixels.min(axis=0), pixels.max(axis=0)
@@ -179,7 +246,7 @@ def test_another_seed_gives_another_flight():
     assert digest("walker", 3) != digest("walker", 4)
 
 
-def test_the_first_picture_can_be_had_before_the_flight():
+def test_the_first_frame_can_be_had_before_the_flight():
     camera, _, _ = build(SCENARIOS["dusk"], 1, Autopilot.ARDUPILOT)
     first, box = camera.first()
     frame = next(f for f in camera.frames() if f is not None)
@@ -187,7 +254,7 @@ def test_the_first_picture_can_be_had_before_the_flight():
     assert camera.truth(0).box == box
 
 
-def test_a_straight_lens_changes_nothing_and_a_bent_one_moves_boxes_with_the_picture():
+def test_a_straight_lens_changes_nothing_and_a_bent_one_moves_boxes_with_the_image():
     image = np.random.default_rng(0).integers(0, 256, (360, 640, 4), np.uint8)
     assert np.array_equal(Lens(CAMERA).bend(image), image[:, :, :3])
     bent = Lens(BENT)
@@ -204,7 +271,7 @@ def test_a_straight_lens_changes_nothing_and_a_bent_one_moves_boxes_with_the_pic
 
 
 @pytest.mark.parametrize("distortion", [(-0.2, 0.03, 0, 0, 0), (0.1, 0, 0, 0, 0), (-0.1, 0, 0.01, -0.01, 0)])
-def test_a_bent_picture_has_no_black_corners(distortion):
+def test_a_bent_image_has_no_black_corners(distortion):
     lens = Lens(replace(BENT, distortion=distortion))
     full = np.full((lens.ideal.height, lens.ideal.width, 4), 200, np.uint8)
     assert lens.bend(full).min() == 200

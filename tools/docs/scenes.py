@@ -56,7 +56,7 @@ def distinct() -> list[str]:
     """The scenarios whose images differ, and not only when and whether they come."""
     scenes = {}
     for name, scenario in SCENARIOS.items():
-        scene = replace(scenario, name="", about="", latency_s=0.0, drop_share=0.0, frames_per_s=30.0)
+        scene = replace(scenario, name="", about="", latency_s=0.0, drop_fraction=0.0, frames_per_s=30.0)
         scenes.setdefault(repr(scene), name)
     return list(scenes.values())
 
