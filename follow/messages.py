@@ -197,7 +197,8 @@ class ImageMotion:
     With m the measured motion of a corner, r the one predicted from rotation alone and t what translation over flat
     ground adds, all in pixels, the fields are weighted means over the corners of their dot products, px²; `mm_px2` is
     the median of m·m.  `box_seen_px` is the motion of the target's box, `box_expected_px` what rotation alone would
-    make of it, (right, down).
+    make of it, (right, down).  `height_m` is the camera's height above the ground around the target's feet, from the
+    parallax of corners there, with its standard deviation; both are inf when the vehicle flew too little to tell.
     """
 
     from_t_s: float
@@ -211,6 +212,8 @@ class ImageMotion:
     mm_px2: float
     box_seen_px: tuple[float, float] = (0.0, 0.0)
     box_expected_px: tuple[float, float] = (0.0, 0.0)
+    height_m: float = math.inf
+    height_std_m: float = math.inf
 
 
 class Order(str, Enum):

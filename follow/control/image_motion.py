@@ -13,6 +13,7 @@ true one (times the same ratio).  What is passed on are the means of the product
 needs: whoever judges adds them up over time (`follow.safety.consistency`).
 """
 
+import math
 from collections import deque
 from dataclasses import dataclass, field
 
@@ -25,30 +26,39 @@ from follow.geometry import Array, Intrinsics, camera_to_ned, project, rays
 from follow.messages import Frame, ImageMotion, VehicleState
 from racf.box import Box
 
+Masks = NDArray[np.bool_]
+
 SPAN_S = 0.2  # between the two frames: 3 m/s and 0.1 rad/s then move corners by 5 to 20 px, wobble does not alias
 WIDTH_PX = 320  # images are shrunk to at most this width: Lucas-Kanade stays below 1 ms, 0.1 px here is 0.2 px at 640
 CORNERS = 48  # the fit has two unknowns; more corners cost time and share the same pose error
 QUALITY = 0.01  # of the strongest corner: asphalt and grass still give some
 APART_PX = 10  # so that one tree does not outvote the ground
+FEET_REACH = 1.5  # box heights to either side of the feet in which the ground counts as theirs
 AROUND_BOX = 1.6  # the target moves by itself; so does its shadow beside it
 FEWEST = 8  # corners below which an interval says nothing
 WINDOW = (15, 15)  # Lucas-Kanade's; with two halvings it follows 30 px in the shrunk image
 HUBER_PX = 1.0  # residual (full-size pixels) beyond which a corner counts less: other people, leaves, an OSD
 ROUNDS = 4  # of reweighting
+LEAST_HEIGHT_M = 1.0  # below it the ground is too near for the parallax to be linear
+LEAST_FALL = 0.05  # sine of the depression of the feet: flatter rays say nothing of the height
 FAR_M = 300.0  # ground farther away than this moves by rotation only
+NEAR_DEPTH = 0.35  # ground within this fraction of the feet's distance counts as the ground around the target
+NEAR_CORNERS = 4  # corners there below which the parallax says nothing of the height
+HEIGHT_NOISE_RAD = math.radians(0.2)  # error shared by an interval's corners: of the attitude between its frames
+HEIGHT_LEAST_RAD = 0.008  # rms translation there below which it says nothing either: twice that error
 WAIT_S = 0.15  # an interval waits at most this long for telemetry that covers its frames
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CornerTracks:
-    """Corners of two frames, (N, 2) full-size pixels each, and the two frames' times; and the target's centres."""
+    """Corners of two frames, (N, 2) full-size pixels each, and the two frames' times; and the target's boxes."""
 
     from_t_s: float
     to_t_s: float
     before: Array
     after: Array
-    box_before: tuple[float, float] | None
-    box_after: tuple[float, float] | None
+    box_before: Box | None
+    box_after: Box | None
 
 
 @dataclass(slots=True)
@@ -63,7 +73,7 @@ class ImageMotionMeter:
     down_rad: float
     ground_down_m: float = 0.0
     poses: PoseHistory = field(default_factory=PoseHistory)
-    _key: tuple[float, NDArray[np.uint8], NDArray[np.float32], tuple[float, float] | None] | None = None
+    _key: tuple[float, NDArray[np.uint8], NDArray[np.float32], Box | None] | None = None
     _last: tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.bool_]] | None = None
     _waiting: deque[CornerTracks] = field(default_factory=lambda: deque[CornerTracks](maxlen=8))
 
@@ -81,7 +91,6 @@ class ImageMotionMeter:
 
     def _track(self, frame: Frame, box: Box | None) -> None:
         image, scale = shrunk_grey(frame.image)
-        centre = (box.centre_x, box.centre_y) if box is not None else None
         if self._key is not None and self._last is not None and frame.t_s > self._key[0]:
             previous, points, alive = self._last
             moved, found, _ = cv2.calcOpticalFlowPyrLK(
@@ -89,14 +98,14 @@ class ImageMotionMeter:
             )
             alive = alive & (found[:, 0] > 0)
             self._last = image, np.asarray(moved, np.float32), alive
-            t_s, _, start, centre_before = self._key
+            t_s, _, start, box_before = self._key
             if frame.t_s - t_s < SPAN_S - 1e-3:
                 return
             if frame.t_s - t_s < 2 * SPAN_S and np.count_nonzero(alive) >= FEWEST:
                 before = (start[alive, 0].astype(np.float64) + 0.5) * scale
                 after = (moved[alive, 0].astype(np.float64) + 0.5) * scale
-                self._waiting.append(CornerTracks(t_s, frame.t_s, before, after, centre_before, centre))
-        self._restart(frame.t_s, image, scale, box, centre)
+                self._waiting.append(CornerTracks(t_s, frame.t_s, before, after, box_before, box))
+        self._restart(frame.t_s, image, scale, box)
 
     def _restart(
         self,
@@ -104,31 +113,31 @@ class ImageMotionMeter:
         image: NDArray[np.uint8],
         scale: float,
         box: Box | None,
-        centre: tuple[float, float] | None,
     ) -> None:
-        points = corners(image, None if box is None else box.scaled(AROUND_BOX), scale)
+        points = corners(image, box, scale)
         if points is None:
             self._key = self._last = None
             return
-        self._key = t_s, image, points, centre
+        self._key = t_s, image, points, box
         self._last = image, points, np.ones(len(points), bool)
 
     def compare(self, tracked: CornerTracks) -> ImageMotion:
         """The measurement of one interval, by the poses at its two frames."""
         before, after = self.poses.at(tracked.from_t_s), self.poses.at(tracked.to_t_s)
         rotated, moved = self.expected(tracked.before, before, after)
-        known = np.isfinite(rotated).all(axis=1) & np.isfinite(moved).all(axis=1)
+        known = np.asarray(np.isfinite(np.concatenate([rotated, moved], axis=1)).all(axis=1), np.bool_)
         r = (rotated - tracked.before)[known]
         t = (moved - rotated)[known]
         m = (tracked.after - tracked.before)[known]
         w = weights(m, r, t)
         box_seen = box_expected = (0.0, 0.0)
         if tracked.box_before is not None and tracked.box_after is not None:
-            turned, _ = self.expected(np.array([tracked.box_before]), before, after)
+            old, new = tracked.box_before, tracked.box_after
+            turned, _ = self.expected(np.array([[old.centre_x, old.centre_y]]), before, after)
             if np.isfinite(turned).all():
-                (x0, y0), (x1, y1) = tracked.box_before, tracked.box_after
-                box_seen = x1 - x0, y1 - y0
-                box_expected = float(turned[0, 0]) - x0, float(turned[0, 1]) - y0
+                box_seen = new.centre_x - old.centre_x, new.centre_y - old.centre_y
+                box_expected = float(turned[0, 0]) - old.centre_x, float(turned[0, 1]) - old.centre_y
+        height_m, height_std_m = self.height(tracked, known, m - r, t, before)
         return ImageMotion(
             from_t_s=tracked.from_t_s,
             t_s=tracked.to_t_s,
@@ -141,7 +150,38 @@ class ImageMotionMeter:
             mm_px2=float(np.median(np.sum(m * m, axis=1))) if len(m) else 0.0,
             box_seen_px=box_seen,
             box_expected_px=box_expected,
+            height_m=height_m,
+            height_std_m=height_std_m,
         )
+
+    def height(self, tracked: CornerTracks, known: Masks, left: Array, t: Array, pose: Pose) -> tuple[float, float]:
+        """Height above the ground around the target's feet and its standard deviation, by the corners' parallax.
+
+        `left` is the (N, 2) motion of the `known` corners that rotation does not explain, `t` what translation over
+        ground at the believed height would make of them.  At height h the translation is t believed / h, so
+        h = believed sum(t . t) / sum(t . left).  (inf, inf) when there is no box, or too little to see.
+        """
+        believed_m = self.ground_down_m - pose.down_m
+        if tracked.box_before is None or believed_m < LEAST_HEIGHT_M:
+            return math.inf, math.inf
+        box = tracked.box_before
+        rotation = camera_to_ned(self.down_rad, pose.roll_rad, pose.pitch_rad, pose.yaw_rad)
+        down = (rays(self.camera, tracked.before[known]) @ rotation.T)[:, 2]
+        feet_down = float((rays(self.camera, [(box.centre_x, box.y + box.h)]) @ rotation.T)[0, 2])
+        # The ray's fall tells the distance of flat ground: d = h / fall.
+        near = np.abs(feet_down / np.maximum(down, 1e-6) - 1.0) < NEAR_DEPTH
+        if feet_down <= LEAST_FALL or np.count_nonzero(near) < NEAR_CORNERS:
+            return math.inf, math.inf
+        t, left = t[near], left[near]
+        w = weights(left, t, np.zeros_like(t))
+        tt, lt = mean_product(w, t, t), mean_product(w, left, t)
+        if lt < 0.1 * tt or lt * lt < tt * (HEIGHT_LEAST_RAD * self.camera.fx) ** 2:
+            return math.inf, math.inf
+        ratio = lt / tt
+        off = left - ratio * t
+        shared_px = HEIGHT_NOISE_RAD * self.camera.fx
+        std = math.sqrt((shared_px**2 + mean_product(w, off, off) / len(t)) / tt)
+        return believed_m / ratio, believed_m / ratio**2 * std
 
     def expected(self, pixels: Array, before: Pose, after: Pose) -> tuple[Array, Array]:
         """Where (N, 2) pixels should be at the later pose: by the rotation alone, and with the translation.
@@ -172,16 +212,36 @@ def shrunk_grey(image: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], float]:
     return image, scale
 
 
-def corners(image: NDArray[np.uint8], avoid: Box | None, scale: float) -> NDArray[np.float32] | None:
-    """(N, 1, 2) corners of a grey image outside a box given in full-size pixels; None when there are too few."""
+def corners(image: NDArray[np.uint8], box: Box | None, scale: float) -> NDArray[np.float32] | None:
+    """(N, 1, 2) corners of a grey image around the target's box, which is in full-size pixels; None for too few.
+
+    A third of them are sought on the ground beside the target's feet: its height there is what is flown by.
+    """
     mask = np.full(image.shape, 255, np.uint8)
-    if avoid is not None:
-        x0, y0 = (max(int(v / scale), 0) for v in (avoid.x, avoid.y))
-        x1, y1 = (max(int(v / scale) + 1, 0) for v in (avoid.x + avoid.w, avoid.y + avoid.h))
-        mask[y0:y1, x0:x1] = 0
-    found = cv2.goodFeaturesToTrack(image, CORNERS, QUALITY, APART_PX, mask=mask)
-    points = np.asarray(found, np.float32)  # OpenCV gives None for no corner at all: an array without a length
-    return points if points.ndim == 3 and len(points) >= FEWEST else None
+    found = [np.empty((0, 1, 2), np.float32)]
+    if box is not None:
+        paint(mask, box.scaled(AROUND_BOX), scale, 0)
+        feet = np.zeros_like(mask)
+        reach = max(FEET_REACH * box.h, 2 * APART_PX * scale)
+        paint(feet, Box(box.centre_x - reach, box.y + box.h - reach / 3, 2 * reach, 2 * reach / 3), scale, 255)
+        found.append(strongest(image, CORNERS // 3, feet & mask, APART_PX // 2))
+        mask[feet > 0] = 0
+    found.append(strongest(image, CORNERS - len(found[-1]), mask, APART_PX))
+    points = np.concatenate(found)
+    return points if len(points) >= FEWEST else None
+
+
+def paint(mask: NDArray[np.uint8], box: Box, scale: float, value: int) -> None:
+    """Set the part of the mask that lies under a box given in full-size pixels."""
+    x0, y0 = (max(int(v / scale), 0) for v in (box.x, box.y))
+    x1, y1 = (max(int(v / scale) + 1, 0) for v in (box.x + box.w, box.y + box.h))
+    mask[y0:y1, x0:x1] = value
+
+
+def strongest(image: NDArray[np.uint8], most: int, mask: NDArray[np.uint8], apart_px: int) -> NDArray[np.float32]:
+    """(N, 1, 2) of the strongest corners where the mask is set; none gives an empty array."""
+    found = np.asarray(cv2.goodFeaturesToTrack(image, most, QUALITY, apart_px, mask=mask), np.float32)
+    return found if found.ndim == 3 else np.empty((0, 1, 2), np.float32)
 
 
 def weights(m: Array, r: Array, t: Array) -> Array:

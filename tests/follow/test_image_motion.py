@@ -174,8 +174,21 @@ def test_corners_keep_away_from_the_box_whatever_the_size_of_the_image(times):
     colour = np.repeat(image_of(state(0.0))[:, :, None], 3, axis=2)
     image, scale = shrunk_grey(cv2.resize(colour, None, fx=times, fy=times))
     assert (image.shape, scale) == ((180, 320), times)
-    avoid = Box(50.0 * times, 25.0 * times, 150.0 * times, 100.0 * times)
-    found = corners(image, avoid, scale)
+    found = corners(image, Box(100.0 * times, 50.0 * times, 50.0 * times, 60.0 * times), scale)
     assert len(found) >= FEWEST
     x, y = found[:, 0].T
-    assert not np.any((x > 51) & (x < 199) & (y > 26) & (y < 124))
+    assert not np.any((x > 87) & (x < 163) & (y > 34) & (y < 126))
+
+
+@pytest.mark.parametrize("lower_m", [-3.0, 0.0, 4.0])
+def test_parallax_tells_the_height_above_the_ground_around_the_feet(lower_m):
+    motions = flown(flying, 2.0, see=lambda s: image_of(s, ground_down_m=lower_m), box=lambda _t: Box(150, 60, 12, 40))
+    told = [m for m in motions if math.isfinite(m.height_std_m)]
+    assert len(told) >= len(motions) / 2
+    for m in told:
+        assert abs(m.height_m - (8.0 + lower_m)) < 3 * m.height_std_m
+        assert m.height_std_m < 0.35 * m.height_m
+
+
+def test_a_vehicle_that_only_turns_is_told_no_height():
+    assert all(math.isinf(m.height_std_m) for m in flown(turning, 1.0, box=lambda _t: Box(150, 60, 12, 40)))
