@@ -1,12 +1,15 @@
 """Where the vehicle was when a frame was taken: a short history of its states."""
 
+import math
 from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from operator import attrgetter
 
-from follow.geometry import wrap
+import numpy as np
+
+from follow.geometry import Array, wrap
 from follow.messages import NEVER, VehicleState
 
 EXTRAPOLATE_S = 0.3
@@ -14,6 +17,15 @@ EXTRAPOLATE_S = 0.3
 
 MEMORY = 256
 """States kept: 2.5 s at 100 rounds a second, several times the longest camera latency flown (0.4 s)."""
+
+JUMP_WITHIN_S = 1.0
+"""After a longer gap between two positions the vehicle's own manoeuvres hide a jump."""
+
+COUNTED_M = 0.3
+"""A step this large is a jump when the autopilot counts one."""
+
+ACCEL_M_S2 = 6.0
+"""More acceleration than a vehicle flies in a turn or a stop (30 degrees of tilt)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +42,11 @@ class Pose:
     north_m_s: float
     east_m_s: float
     down_m_s: float
+
+    @property
+    def position_ned(self) -> Array:
+        """Position (3,), local NED, metres."""
+        return np.array([self.north_m, self.east_m, self.down_m])
 
 
 def blend(before: float, after: float, fraction: float) -> float:
@@ -54,6 +71,33 @@ class PoseHistory:
             self.positions.clear()
         if not self.positions or state.position_t_s > self.positions[-1].position_t_s:
             self.positions.append(state)
+
+    def jump(self, state: VehicleState, least_m: float) -> Array | None:
+        """Return how far (3,) a new state's position is from where its velocity leads; None for less than `least_m`.
+
+        The vehicle's own acceleration may explain ACCEL_M_S2 dt²/2 of it.  When the autopilot counts a reset of its
+        estimator, COUNTED_M is enough.  None also before the first position.
+        """
+        if not self.positions or NEVER in (last := self.positions[-1].position_t_s, state.position_t_s):
+            return None
+        dt, q = state.position_t_s - last, self.positions[-1]
+        if not 0 < dt < JUMP_WITHIN_S:
+            return None
+        north = state.north_m - q.north_m - dt * (q.north_m_s + state.north_m_s) / 2
+        east = state.east_m - q.east_m - dt * (q.east_m_s + state.east_m_s) / 2
+        down = state.down_m - q.down_m - dt * (q.down_m_s + state.down_m_s) / 2
+        least = (COUNTED_M if state.resets != q.resets else least_m) + ACCEL_M_S2 * dt**2 / 2
+        return np.array([north, east, down]) if math.hypot(north, east, down) > least else None
+
+    def shift(self, offset_ned: Array) -> None:
+        """Move all past positions by (3,) metres: the vehicle's estimator was reset."""
+        north, east, down = offset_ned
+        moved = [
+            replace(p, north_m=p.north_m + north, east_m=p.east_m + east, down_m=p.down_m + down)
+            for p in self.positions
+        ]
+        self.positions.clear()
+        self.positions.extend(moved)
 
     def at(self, t_s: float) -> Pose:
         """Return the pose at `t_s`, interpolated; beyond the newest message extrapolated for at most EXTRAPOLATE_S.

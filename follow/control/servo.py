@@ -46,12 +46,20 @@ class ServoConfig:
     pitch_filter_s: float = 1.0  # Time constant of the pitch filter: height follows steady flight only.
     abeam_per_s: float = 0.3  # Gain on the angle off abeam in profile.
     abeam_m_s: float = 3.0  # Fastest speed across the line of sight in profile.
+    near_fraction: float = 0.7  # Least fraction of the stand-off that the nearest possible range keeps.
+    band_rad: float = 0.3  # How far from the middle row a target out of reach may appear before the height follows it.
+    height_ratio: float = 2.0  # Highest flight over the target, as a multiple of the height at the stand-off.
+    evade_fraction: float = 0.6  # Fraction of the stand-off; nearer than this to the head, climb as fast as allowed.
+    evade_s: float = 2.5  # Climb as well if the target comes that near within this time.
     course_m_s: float = 0.5  # Speed below which a target has no course in profile.
 
     def __post_init__(self) -> None:
         may_be_zero = ("feed_forward", "pitch_filter_s", "abeam_per_s", "abeam_m_s", "course_m_s")
         require_numbers("servo setting", self, may_be_zero=may_be_zero, any_sign=("orbit_m_s",))
 
+
+FARTHEST = 2.5
+"""At most this multiple of the stand-off is kept to a target far below."""
 
 STEEPEST_RAD = math.radians(75.0)
 """Steeper lines of sight are clipped to this: the tangent of a vertical one is infinite."""
@@ -112,7 +120,7 @@ class Servo:
         c = self.config
         if c.mode is ServoMode.CENTRE:
             return 0.0, 0.0
-        error = estimate.range_m - c.standoff_m
+        error = self.range_error(estimate)
         forward, right, _ = state.body_velocity_m_s()
         flown, _ = ned_to_heading(forward, right, estimate.azimuth_rad)
         with_target = c.feed_forward * along
@@ -126,12 +134,50 @@ class Servo:
             return radial, min(max(swing, -c.abeam_m_s), c.abeam_m_s) + c.feed_forward * across
         return radial, 0.0
 
+    def range_error(self, estimate: Estimate) -> float:
+        """Return how much farther than desired the target is, metres, by the nearer of what the ranges say.
+
+        A vehicle that cannot descend to a target far below keeps it in view from farther away.
+        """
+        c = self.config
+        height = estimate.range_m * math.tan(min(estimate.depression_rad, STEEPEST_RAD))
+        steepest = math.tan(min(max(self.axis_rad() + c.band_rad, c.band_rad), STEEPEST_RAD))
+        desired = min(max(c.standoff_m, height / steepest), FARTHEST * c.standoff_m)
+        return min(estimate.range_m - desired, estimate.range_near_m - c.near_fraction * c.standoff_m)
+
+    def axis_rad(self) -> float:
+        """The depression of the image's middle row at the filtered pitch."""
+        return self.down_rad - (self.pitch_rad or 0.0)
+
     def descend(self, estimate: Estimate, state: VehicleState, dt: float) -> float:
-        """Return the downward speed that brings the target to the image's middle row at the filtered pitch."""
-        pitch = self.pitch_rad or 0.0
-        desired = math.tan(min(max(self.down_rad - pitch, 0.0), STEEPEST_RAD))
-        too_high_m = estimate.range_m * (math.tan(min(estimate.depression_rad, STEEPEST_RAD)) - desired)
-        return -self.climb.update(-too_high_m, too_high_m, dt, -state.down_m_s)
+        """Return the downward speed that brings the target to the image's middle row at the filtered pitch.
+
+        Beyond the stand-off it may appear higher in the image, so that a target that outruns the vehicle does not make
+        it climb; inside the stand-off the vehicle does not descend, and it climbs away from a target that comes nearer.
+        """
+        c = self.config
+        axis = min(max(self.axis_rad(), 0.0), STEEPEST_RAD)
+        height = estimate.range_m * math.tan(min(estimate.depression_rad, STEEPEST_RAD))
+        beyond = min(max(estimate.range_m / c.standoff_m - 1.0, 0.0), 1.0)
+        highest = c.height_ratio * c.standoff_m * math.tan(min(max(self.down_rad, c.band_rad), STEEPEST_RAD))
+        most = estimate.range_m * math.tan(axis)
+        least = min(estimate.range_m * math.tan(max(axis - beyond * c.band_rad, 0.0)), highest)
+        too_high_m = max(height - max(most, least), 0.0) - max(least - height, 0.0)
+        down = -self.climb.update(-too_high_m, too_high_m, dt, -state.down_m_s)
+        inside = 10.0 * (1.0 - estimate.range_m / c.standoff_m)  # 0 at the stand-off, 1 a tenth inside it
+        down *= min(max(1.0 - inside, 0.0), 1.0) if down > 0 else 1.0
+        return -c.climb.limit if self.closing_in(estimate, state) else down
+
+    def closing_in(self, estimate: Estimate, state: VehicleState) -> bool:
+        """Whether the target's head is, or will within `evade_s` be, nearer than the desired least distance."""
+        c = self.config
+        forward, right, _ = state.body_velocity_m_s()
+        along, _ = sight_components(estimate, state.yaw_rad)
+        opening = along - ned_to_heading(forward, right, estimate.azimuth_rad)[0]
+        soon_m = max(estimate.range_m + min(opening, 0.0) * c.evade_s, 0.0)
+        middle_m = estimate.range_m * math.tan(min(estimate.depression_rad, STEEPEST_RAD))
+        head_m = middle_m - (estimate.target_height_m / 2 if math.isfinite(estimate.target_height_m) else 1.0)
+        return math.hypot(soon_m, max(head_m, 0.0)) < c.evade_fraction * c.standoff_m
 
     def above(self, estimate: Estimate, state: VehicleState, dt: float) -> Setpoint:
         """Return the velocity that puts the target on the optical axis, keeping heading and height."""

@@ -26,7 +26,6 @@ from sim.link import SimLink
 from sim.scenarios import MIDDLE_M, SCENARIOS
 
 DRAWN = np.zeros((1, 1), np.uint8)
-WIDTH_M = 0.6
 
 
 class KnownScene:
@@ -57,7 +56,8 @@ class KnownScene:
         scale = self.lens.fx / float(np.linalg.norm(point - lens_ned)) * math.exp(self.noise.normal(0, 0.05))
         dx, dy = self.noise.normal(0, 1.5, 2)
         found = inside and not self.hidden_s[0] <= motion.t_s < self.hidden_s[1]
-        box = Box.around(x + dx, y + dy, WIDTH_M * scale, 2 * middle * scale) if found else Box(300, 160, 20, 40)
+        width = self.scenario.size_m**2 / (2 * middle)
+        box = Box.around(x + dx, y + dy, width * scale, 2 * middle * scale) if found else Box(300, 160, 20, 40)
         return Track(box, box, psr=20.0, apce=50.0, confidence=0.9, found=found)
 
     def frames(self):

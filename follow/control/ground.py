@@ -1,0 +1,178 @@
+"""What is known of the ground's height under the target: by start or home, by rangefinder, by terrain map.
+
+Each source is a word on one length.  The filter has all lengths in proportion to the target's size, so a word corrects
+the size, or contradicts it.
+"""
+
+import math
+from dataclasses import dataclass, field, replace
+from enum import Enum
+
+import numpy as np
+
+from follow.control.joint_filter import CLEAR_M, JointFilter, height_row, scaled
+from follow.control.pose_history import Pose
+from follow.geometry import Array
+from follow.messages import NEVER, VehicleState
+from follow.ranges import require_numbers
+
+FRESH_S = 2.0
+"""Heights older than this do not count: a terrain report comes about once a second."""
+
+LOW_M = 2.0
+"""Lower than this over the ground, a height says too little of the range: a kerb is a tenth of it."""
+
+BETTER = 0.7
+"""The start counts again only when its ratio_std is this much lower: its error is one and the same."""
+
+CORRELATED = 3.0
+"""Words of a sensor are this many times less certain than each alone: about ten in a row share the slope's error."""
+
+LEAST_RATIO = 0.3
+"""Of the range by a source that has the vehicle on the ground or below it."""
+
+
+class Source(str, Enum):
+    """Who says how high the ground lies."""
+
+    START = "the start's height"
+    RANGEFINDER = "the rangefinder"
+    TERRAIN = "the terrain map"
+
+
+@dataclass(frozen=True, slots=True)
+class GroundTrust:
+    """How far each source is believed.  Raises ValueError for a number out of its range."""
+
+    start_std_m: float = 0.5  # Uncertainty of the height of the start's ground: barometer drift, a kerb.
+    rangefinder_std_m: float = 0.3  # Uncertainty of the ground under the vehicle by a rangefinder: grass, and tilt.
+    terrain_std_m: float = 5.0  # Uncertainty of a terrain map: a grid of 30 to 100 m.
+    slope_std: float = 0.06  # Slope between there and the target, standard deviation: most paths have 0 to 10 %.
+    every_s: float = 1.0  # Time between two corrections by a source.
+    contradiction_sigmas: float = 2.0  # Disagreement of size and ground that stops the vehicle, in standard deviations.
+
+    def __post_init__(self) -> None:
+        require_numbers("ground setting", self, may_be_zero=("every_s",))
+
+
+@dataclass(frozen=True, slots=True)
+class GroundWord:
+    """What a source says of the ground's height under the target, beside what the box says with the size's prior.
+
+    `height_m` is the camera's height over that ground by the source, with `std_m`; `by_size_m` the same by the box, and
+    `ratio_std` the standard deviation of ln height - ln by_size, the size's own apart.
+    """
+
+    height_m: float
+    std_m: float
+    by_size_m: float
+    ratio_std: float
+
+    @property
+    def clear(self) -> bool:
+        """Whether both heights are enough to compare."""
+        return min(self.height_m, self.by_size_m) >= CLEAR_M
+
+    def sigmas(self, size_std: float) -> float:
+        """By how many standard deviations source and size contradict each other, for a relative `size_std`."""
+        if self.clear:
+            return abs(math.log(self.height_m / self.by_size_m)) / math.hypot(self.ratio_std, size_std)
+        return abs(self.height_m - self.by_size_m) / math.hypot(self.std_m, max(self.by_size_m, CLEAR_M) * size_std)
+
+
+def ground_word(f: JointFilter, camera_ned: Array, aspect: float, ground_down_m: float, std_m: float) -> GroundWord:
+    """Compare a height of the ground under the target (NED down, metres) with the filter's."""
+    expected, row = height_row(f, camera_ned, aspect)
+    height = ground_down_m - float(camera_ned[2])
+    own = math.sqrt(max(float(row @ f.covariance @ row), 0.0))
+    lowest = max(min(height, expected), CLEAR_M)
+    return GroundWord(height, std_m, expected, math.hypot(own, std_m) / lowest)
+
+
+def grounded(f: JointFilter, camera_ned: Array, velocity: Array, word: GroundWord) -> JointFilter:
+    """The filter after a word on the ground's height; the same unless the word is clear.
+
+    All lengths in the filter are in proportion to the size, the camera's height over the target's ground among them: so
+    ln height - ln by_size measures ln size, and range, height and relative velocity are scaled with it.
+    """
+    if not word.clear:
+        return f
+    gain = f.size_var / (f.size_var + word.ratio_std**2)
+    change = gain * math.log(word.height_m / word.by_size_m)
+    return replace(scaled(f, camera_ned, velocity, change), size_var=(1 - gain) * f.size_var)
+
+
+@dataclass(slots=True)
+class GroundSources:
+    """Compares the sources; remembers how well each was once believed, and which contradicts the size."""
+
+    believed: dict[Source, float] = field(default_factory=dict[Source, float])
+    contradiction: str = ""
+    near_ratio: float = 1.0  # of the range by the nearer source to the estimate's, while they contradict each other
+
+    def correct(
+        self, f: JointFilter, pose: Pose, state: VehicleState, size: tuple[float, float, float], c: GroundTrust
+    ) -> JointFilter:
+        """The filter after what the sources say now; `size` is the prior's metres, relative deviation, and the aspect.
+
+        A source that contradicts the size's prior is not believed, and `contradiction` says so until it agrees.
+        """
+        here, velocity = pose.position_ned, np.array([pose.north_m_s, pose.east_m_s])
+        size_m, size_std, aspect = size
+        self.contradiction, self.near_ratio = "", 1.0
+        for source, ground_down_m, std_m in ground_words(f, here, state, c):
+            word = ground_word(f, here, aspect, ground_down_m, std_m)
+            if max(word.by_size_m, word.height_m) < LOW_M:
+                continue
+            if source is Source.START and word.ratio_std >= BETTER * self.believed.get(source, math.inf):
+                continue
+            prior = replace(word, by_size_m=word.by_size_m * size_m / f.size_m)
+            if prior.sigmas(size_std) > c.contradiction_sigmas:
+                self.contradict(source, prior, size_m)
+            else:
+                shared = 1.0 if source is Source.START else CORRELATED
+                f = grounded(f, here, velocity, replace(word, ratio_std=shared * word.ratio_std))
+                self.believed[source] = word.ratio_std
+        return f
+
+    def reset(self) -> None:
+        """The vehicle's height was reset: a start that was believed once does not count again."""
+        if Source.START in self.believed:
+            self.believed[Source.START] = 0.0
+
+    def contradict(self, source: Source, word: GroundWord, size_m: float) -> None:
+        """Note that a source and the target's size contradict each other; the nearer of both counts."""
+        ratio = max(word.height_m / max(word.by_size_m, CLEAR_M), LEAST_RATIO)
+        self.near_ratio = min(self.near_ratio, ratio)
+        self.contradiction = (
+            f"by {source.value} the vehicle is {word.height_m:.1f} m above the target's ground, by its size "
+            f"(target.size_m {size_m:.2f}) {word.by_size_m:.1f} m: tell the right size, or do not follow"
+        )
+
+
+def ground_words(f: JointFilter, here: Array, state: VehicleState, c: GroundTrust) -> list[tuple[Source, float, float]]:
+    """Where the sources put the ground under the target: NED down (metres), standard deviation (metres).
+
+    The start's ground, at home or at the origin, is extended to the target flat, and the ground under the vehicle by
+    the filter's gradient; both with the uncertainty of the slope over the distance between.
+    """
+    target = f.mean[:2]
+    ahead = target - here[:2]
+    below, std_m = float(ahead @ f.mean[5:7]), c.slope_std * float(np.linalg.norm(ahead))
+    words: list[tuple[Source, float, float]] = []
+    if 0 <= state.t_s - state.above_ground_t_s <= FRESH_S:
+        down = state.down_m + state.above_ground_m + below
+        words.append((Source.RANGEFINDER, down, math.hypot(c.rangefinder_std_m, std_m)))
+    if 0 <= state.t_s - state.above_terrain_t_s <= FRESH_S:
+        down = state.down_m + state.above_terrain_m + below
+        words.append((Source.TERRAIN, down, math.hypot(c.terrain_std_m, std_m)))
+    home = np.array([state.home_north_m, state.home_east_m]) if state.home_t_s > NEVER else np.zeros(2)
+    start_std_m = math.hypot(c.start_std_m, c.slope_std * float(np.linalg.norm(target - home)))
+    return [*words, (Source.START, start_down_m(state), start_std_m)]
+
+
+def start_down_m(state: VehicleState) -> float:
+    """Where the ground of the start lies: by the height above home, else by home's place, else at the origin."""
+    if 0 <= state.t_s - state.above_home_t_s <= FRESH_S:
+        return state.down_m + state.above_home_m
+    return state.home_down_m if state.home_t_s > NEVER else 0.0
