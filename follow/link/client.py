@@ -35,6 +35,8 @@ COMPANION = dialect.MAV_COMP_ID_ONBOARD_COMPUTER  # 191
 
 HEARTBEAT_EVERY_S = 1.0  # the MAVLink heartbeat protocol's rate
 TIMESYNC_EVERY_S = 0.2  # five chances a second for an exchange without delay
+MODE_EVERY_S = 0.2  # a HEARTBEAT is requested: its mode is the only truth, and PX4 keeps the stream at 1 Hz
+MODE_SOON_S = 0.05  # the same while a requested mode is awaited
 VERSION_EVERY_S = 2.0
 STREAM_GAP_S = 0.5  # 2 Hz; also the shortest COM_OF_LOSS_T and GUID_TIMEOUT that we ask for
 REFUSAL_TEXT_S = 2.0  # a STATUSTEXT within this time of a refused request is its reason
@@ -106,9 +108,12 @@ class MavlinkClient:
         for message in messages:
             if self._is_forged(message, source, t_s):
                 continue
+            was_unknown = self.vehicle_id is None
             self._vehicle.hear(message, t_s)
             if self.vehicle_id is not None:
                 self.packets.address = self.vehicle_id, COMPANION
+                if was_unknown:
+                    self.peer.admits(source, t_s, signed=self._signed)
             if isinstance(message, dialect.MAVLink_command_ack_message):
                 self._hear_answer(message)
             elif isinstance(message, dialect.MAVLink_statustext_message):
@@ -136,6 +141,8 @@ class MavlinkClient:
             return
         if self._is_due("timesync", t_s, TIMESYNC_EVERY_S):
             self._send(dialect.MAVLink_timesync_message(0, round(t_s * 1e9)))
+        if self._is_due("mode", t_s, MODE_EVERY_S if self._request is None else MODE_SOON_S):
+            self.command(dialect.MAV_CMD_REQUEST_MESSAGE, dialect.MAVLINK_MSG_ID_HEARTBEAT)
         for number, rate_hz in self._rates.missing(self.heard.counts, autopilot, t_s):
             self.command(dialect.MAV_CMD_SET_MESSAGE_INTERVAL, number, 1e6 / rate_hz)
         if self.heard.version is None and self._is_due("version", t_s, VERSION_EVERY_S):
@@ -192,7 +199,7 @@ class MavlinkClient:
         names, request = self._names(), self._request
         mode = names.sticks if for_sticks else names.hold
         if request is not None and request.mode != names.control:
-            if not request.times:
+            if for_sticks and not request.times:
                 request.mode = mode
             return True
         if not (self._in_control or (request is not None and request.times)):
@@ -200,6 +207,7 @@ class MavlinkClient:
             return False
         before = (names.control,) if request is None else (*request.from_modes, names.control)
         self._in_control = False
+        self._done_t_s.pop("mode", None)  # ask for the mode at once
         self._request = ModeRequest(mode, before, self._t_s, since_t_s=self._t_s)
         return True
 

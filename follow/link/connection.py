@@ -149,12 +149,12 @@ class MavlinkLink:
 
     def _flush(self) -> None:
         for packet in self.client.take():
-            if not self._transport.write(packet):
+            if not self._transport.write(packet) and self.client.vehicle_id is not None:
                 self.unsent += 1
             if self._tlog is not None:
                 self._tlog.write(packet, time.time())
         told_s, told = self._unsent_told
-        if self.client.vehicle_id is not None and self.unsent > told and time.monotonic() - told_s > UNSENT_EVERY_S:
+        if self.unsent > told and time.monotonic() - told_s > UNSENT_EVERY_S:
             log.warning("%d packets could not be sent: the link is full or broken", self.unsent - told)
             self._unsent_told = time.monotonic(), self.unsent
 

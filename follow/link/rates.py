@@ -12,7 +12,6 @@ OPTIONAL_TIMES = 3  # a stream that not every autopilot has is requested this of
 OPTIONAL_AGAIN_S = 60.0  # ... and then again after this: the autopilot may have restarted
 
 REQUIRED: dict[str, float] = {
-    "HEARTBEAT": 5.0,  # its mode is the only truth: a pilot's takeover is seen within 0.2 s
     "ATTITUDE": 50.0,  # above the frame rate, so that the attitude of a frame is never 20 ms old
     "LOCAL_POSITION_NED": 25.0,  # 0.2 m at 5 m/s between two of them
     "EXTENDED_SYS_STATE": 2.0,

@@ -316,6 +316,8 @@ class AutopilotSystem:
 
     def _set_message_interval(self, p: tuple[float, ...], way: _Link) -> list[Result]:
         number, interval_us = int(p[0]), p[1]
+        if number == dialect.MAVLINK_MSG_ID_HEARTBEAT and self.flight.autopilot is Autopilot.PX4:
+            return [Result.ACCEPTED]  # it stays at 1 Hz
         if number not in REPORTS:
             return [Result.UNSUPPORTED if self.flight.autopilot is Autopilot.PX4 else Result.DENIED]
         way.every_s.pop(number, None)

@@ -1,0 +1,152 @@
+"""A request for Hold or BRAKE never takes the vehicle from the pilot: it needs news that the vehicle is still ours."""
+
+import pytest
+from pymavlink.dialects.v20 import common as dialect
+
+from follow.link.flight_modes import MODES_OF
+from follow.messages import HOVER, Autopilot
+from sim.autopilot.core import Result
+from tests.support.autopilot_pair import Pair
+
+BOTH = pytest.mark.parametrize("autopilot", list(Autopilot))
+MANUAL = {Autopilot.PX4: "POSCTL", Autopilot.ARDUPILOT: "LOITER"}
+
+
+def requested(pair: Pair) -> list[str]:
+    """Collects the names of the modes that the client requests from now on."""
+    modes: list[str] = []
+    ask = pair.system.flight.ask_mode
+
+    def noted(number: int, sub: int) -> list[Result]:
+        known = pair.system.flight.modes.items()
+        modes.append(next(name for name, mode in known if (mode.number, mode.sub) == (number, sub)))
+        return ask(number, sub)
+
+    pair.system.flight.ask_mode = noted
+    return modes
+
+
+@BOTH
+@pytest.mark.parametrize("later_s", [0.0, 0.02, 0.1, 0.3, 0.6, 0.98])
+@pytest.mark.parametrize("phase_s", [0.0, 0.3, 0.5, 0.98])
+def test_a_pilot_who_switched_just_before_the_stream_ended_keeps_the_vehicle(autopilot, later_s, phase_s):
+    """c03, c21: whatever the time between his switch, our end and the autopilot's heartbeats."""
+    pair = Pair(autopilot).fly()
+    pair.run(phase_s)
+    modes = requested(pair)
+    pair.system.flight.enter(MANUAL[autopilot])
+    pair.run(later_s)
+    pair.setpoint = None
+    pair.run(5.0)
+    assert modes == []
+    assert pair.state.mode == MANUAL[autopilot]
+    assert not pair.client.is_asking()
+
+
+@BOTH
+def test_hold_is_requested_within_a_round_trip_when_the_vehicle_is_still_ours(autopilot):
+    pair = Pair(autopilot).fly()
+    modes = requested(pair)
+    pair.setpoint = None
+    pair.run(0.1)
+    assert modes == [MODES_OF[autopilot].hold]
+    pair.run(2.0)
+    assert len(modes) == 1
+    assert pair.system.flight.mode == MODES_OF[autopilot].hold
+
+
+@BOTH
+@pytest.mark.parametrize("first", [True, False])
+def test_for_the_pilots_sticks_a_mode_in_which_they_act_is_requested(autopilot, first):
+    pair = Pair(autopilot).fly()
+    modes = requested(pair)
+    if first:
+        pair.client.hold(for_sticks=True)
+    pair.setpoint = None
+    pair.client.send_setpoint(None, pair.t_s)
+    if not first:
+        pair.client.hold(for_sticks=True)
+    pair.run(2.0)
+    assert modes == [MANUAL[autopilot]]
+    assert pair.system.flight.mode == MANUAL[autopilot]
+
+
+@BOTH
+def test_a_refused_takeover_gives_its_reason_and_no_request_for_hold_follows(autopilot):
+    pair = Pair(autopilot)
+    pair.system.flight.enter(MANUAL[autopilot])
+    pair.run(2.0)
+    modes = requested(pair)
+    flight, ask = pair.system.flight, pair.system.flight.ask_mode
+
+    def refuse(number: int, sub: int) -> list[Result]:
+        ask(number, sub)
+        flight.enter(MANUAL[autopilot])
+        flight.texts.append("Reject: no position")
+        return [Result.ACCEPTED, Result.DENIED] if autopilot is Autopilot.PX4 else [Result.DENIED]
+
+    flight.ask_mode = refuse
+    pair.setpoint = HOVER
+    pair.client.take_control()
+    pair.run(3.0)
+    assert modes == [MODES_OF[autopilot].control]
+    assert pair.state.refusal == f"the autopilot refused {modes[0]} (DENIED): Reject: no position"
+    pair.setpoint = None
+    pair.run(5.0)
+    assert len(modes) == 1
+    assert pair.state.mode == MANUAL[autopilot]
+    flight.ask_mode = ask
+    pair.setpoint = HOVER
+    pair.client.take_control()
+    assert pair.state.refusal == "", "a new request forgets it"
+
+
+@BOTH
+def test_a_request_that_changes_nothing_gives_its_reason(autopilot):
+    pair = Pair(autopilot)
+    pair.run(2.0)
+    before = pair.system.flight.mode
+    pair.system.flight.ask_mode = lambda _number, _sub: [Result.ACCEPTED]
+    pair.setpoint = HOVER
+    pair.client.take_control()
+    pair.run(8.0)
+    control = MODES_OF[autopilot].control
+    assert pair.state.refusal == f"the autopilot stayed in {before} after 1 requests for {control}"
+
+
+@BOTH
+def test_an_order_taken_back_before_the_mode_was_shown_still_ends_in_hold(autopilot):
+    """PX4 may grant OFFBOARD before it tells so; the vehicle must not stay in it."""
+    pair = Pair(autopilot)
+    pair.run(2.0)
+    control = MODES_OF[autopilot].control
+    late: list[bytes] = []
+    pair.setpoint = HOVER
+    pair.client.take_control()
+    modes = requested(pair)
+    while control not in modes:
+        pair.run(0.02)
+    pair.to_client = lambda packets: (late.extend(packets), [])[1]
+    pair.setpoint = None
+    pair.run(0.2)
+    pair.to_client = lambda packets: packets
+    pair.run(3.0)
+    assert pair.system.flight.mode == MODES_OF[autopilot].hold
+
+
+@BOTH
+def test_a_mode_is_seen_within_a_quarter_of_a_second(autopilot):
+    pair = Pair(autopilot).fly()
+    for mode in (MANUAL[autopilot], "RTL"):
+        pair.system.flight.enter(mode)
+        pair.run(0.26)
+        assert pair.state.mode == mode
+
+
+def test_a_heartbeat_is_requested_because_px4_keeps_its_stream_at_one_hertz():
+    pair = Pair(Autopilot.PX4)
+    interval = dialect.MAVLink_command_long_message(1, 1, 511, 0, 0, 2e5, 0, 0, 0, 0, 0)
+    pair.system.receive(interval.pack(dialect.MAVLink(None, 1, 191)))
+    pair.to_autopilot = lambda _packets: []
+    pair.run(5.0)
+    assert pair.client.heard.counts["HEARTBEAT"] == 5
