@@ -60,6 +60,7 @@ class MavlinkClient:
         self._refusal = ""
         self._stream_since_t_s = NEVER
         self._stream_t_s = NEVER
+        self._is_barred = False  # after a pause while in control no setpoint is sent until control is taken again
         self._t_s = NEVER  # the latest time that we were given
         self._done_t_s: dict[str, float] = {}
         self._out: list[bytes] = []
@@ -168,7 +169,7 @@ class MavlinkClient:
             self.hold()
             self._stream_t_s = NEVER
             return
-        if setpoint is None or self.vehicle_id is None:
+        if setpoint is None or self.vehicle_id is None or self._is_barred:
             return
         if paused or not streamed:
             self._stream_since_t_s = t_s
@@ -185,7 +186,7 @@ class MavlinkClient:
         Only an operator's explicit order may lead here.  Raises LinkError if no vehicle is known.
         """
         now = self._vehicle.state
-        self._refusal = ""
+        self._refusal, self._is_barred = "", False
         self._request = ModeRequest(self._names().control, (now.mode,), now.heartbeat_t_s)
 
     def hold(self, *, for_sticks: bool = False) -> bool:

@@ -135,6 +135,25 @@ def test_an_order_taken_back_before_the_mode_was_shown_still_ends_in_hold(autopi
 
 
 @BOTH
+def test_after_a_pause_of_our_own_the_stream_does_not_resume_by_itself(autopilot):
+    """PX4, which has meanwhile fallen back, would re-enter OFFBOARD at the next setpoint."""
+    pair = Pair(autopilot)
+    pair.system.flight.parameters.update({"COM_OBL_RC_ACT": 5} if autopilot is Autopilot.PX4 else {})
+    pair.fly()
+    for _ in range(80):  # our process stands still, the autopilot does not
+        pair.t_s += 0.02
+        pair.system.step(pair.t_s)
+    sent: list[bytes] = []
+    pair.to_autopilot = lambda packets: (sent.extend(packets), packets)[1]
+    pair.run(3.0)
+    assert not [packet for packet in sent if packet[7] == 84]
+    assert pair.system.flight.mode == MODES_OF[autopilot].hold
+    pair.client.take_control()
+    pair.run(3.0)
+    assert pair.state.in_control
+
+
+@BOTH
 def test_a_mode_is_seen_within_a_quarter_of_a_second(autopilot):
     pair = Pair(autopilot).fly()
     for mode in (MANUAL[autopilot], "RTL"):
