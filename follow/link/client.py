@@ -166,6 +166,7 @@ class MavlinkClient:
                 log.warning(
                     "no setpoint was sent for %.1f s: this program or its camera stalled", t_s - self._stream_t_s
                 )
+                self._is_barred = True
             self.hold()
             self._stream_t_s = NEVER
             return
@@ -304,7 +305,9 @@ class MavlinkClient:
             if mode == request.mode and request.times:
                 self._in_control = mode == self._names().control
                 self._request = None
-            elif mode not in request.from_modes:
+            elif mode not in request.from_modes and request.mode != mode:
                 self._request = None  # somebody chose another mode meanwhile: theirs counts
+            elif mode == request.mode != self._names().control:
+                self._request = None  # it is there already, by somebody else's choice or a failsafe
         if self._in_control and (mode != self._names().control or not self._vehicle.state.armed):
             self._in_control = False  # also after a disarm it is not ours again without an order
