@@ -61,6 +61,9 @@ class ServoConfig:
 FARTHEST = 2.5
 """At most this multiple of the stand-off is kept to a target far below."""
 
+SEEN_S = 1.0
+"""A target seen within this time counts as seen: longer than a camera's delay (0.4 s)."""
+
 STEEPEST_RAD = math.radians(75.0)
 """Steeper lines of sight are clipped to this: the tangent of a vertical one is infinite."""
 
@@ -143,7 +146,11 @@ class Servo:
         height = estimate.range_m * math.tan(min(estimate.depression_rad, STEEPEST_RAD))
         steepest = math.tan(min(max(self.axis_rad() + c.band_rad, c.band_rad), STEEPEST_RAD))
         desired = min(max(c.standoff_m, height / steepest), FARTHEST * c.standoff_m)
-        return min(estimate.range_m - desired, estimate.range_near_m - c.near_fraction * c.standoff_m)
+        error = estimate.range_m - desired
+        # Of a target that is not seen the nearest possible range falls without end; braking is the gate's part then.
+        if estimate.t_s - estimate.seen_t_s > SEEN_S:
+            return error
+        return min(error, estimate.range_near_m - c.near_fraction * c.standoff_m)
 
     def axis_rad(self) -> float:
         """The depression of the image's middle row at the filtered pitch."""

@@ -156,3 +156,46 @@ def test_top_down_flies_so_that_the_optical_axis_meets_the_target_and_does_not_t
     n, e = walk(30)
     assert yaw == 0.0
     assert (n - north, e - east) == pytest.approx((7.0 / math.tan(DOWN), 0.0), abs=0.3)
+
+
+@given(st.floats(0.3, 0.95), st.floats(0.1, 0.6))
+def test_inside_the_stand_off_it_never_descends_to_a_target_low_in_the_image(part, angle):
+    near = desired(estimate(depression=DOWN + angle, range_m=part * CONFIG.standoff_m))
+    just_outside = desired(estimate(depression=DOWN + angle, range_m=CONFIG.standoff_m))
+    assert near.down_m_s <= max(1.0 - 10.0 * (1.0 - part), 0.0) * CONFIG.climb.limit + 1e-9
+    assert part > 0.9 or near.down_m_s <= 0.0
+    assert just_outside.down_m_s > 0.0
+
+
+@given(st.floats(1.0, 30.0))
+def test_the_nearest_possible_range_is_kept_as_well(range_near):
+    unsure = desired(estimate(range_m=CONFIG.standoff_m, range_near_m=range_near))
+    assert (unsure.forward_m_s < -1e-9) == (range_near < CONFIG.near_fraction * CONFIG.standoff_m - 1e-6)
+    assert unsure.forward_m_s <= 1e-9
+
+
+@pytest.mark.parametrize("rush_m_s", [2.0, 3.0, 6.0])
+def test_it_climbs_as_fast_as_it_may_from_someone_who_will_soon_be_too_near(rush_m_s):
+    came = estimate(range_m=11.0, north_m_s=-rush_m_s * math.cos(0.4), east_m_s=-rush_m_s * math.sin(0.4))
+    will_be = max(11.0 - rush_m_s * CONFIG.evade_s, 0.0)
+    head = 11.0 * math.tan(DOWN) - 1.0
+    too_near = math.hypot(will_be, head) < CONFIG.evade_fraction * CONFIG.standoff_m
+    assert (desired(came).down_m_s == -CONFIG.climb.limit) == too_near
+    assert too_near or rush_m_s < 6.0
+
+
+def test_a_target_that_outruns_it_does_not_make_it_climb_without_end():
+    height, servo = 7.0, Servo(DOWN)
+    for n in range(3000):  # 12 to 162 m away in 100 s, and level flight at it
+        t_s, range_m = n / 30, 12.0 + 1.5 * n / 30
+        seen = Estimate(t_s, 0.0, math.atan2(height, range_m), range_m, 0.5, seen_t_s=t_s)
+        height -= servo.update(seen, VehicleState(t_s, down_m=-height)).down_m_s / 30
+    at_standoff = CONFIG.standoff_m * math.tan(DOWN)
+    assert at_standoff < height <= CONFIG.height_ratio * at_standoff + 0.1
+
+
+def test_a_target_far_below_that_it_may_not_descend_to_is_watched_from_farther_away():
+    deep = Estimate(0.0, 0.0, math.atan2(30.0, 12.0), 12.0, 0.5, seen_t_s=0.0)
+    assert desired(deep).forward_m_s < -1.0
+    level = Estimate(0.0, 0.0, math.atan2(30.0, 27.0), 27.0, 0.5, seen_t_s=0.0)
+    assert abs(desired(level).forward_m_s) < 2.0

@@ -12,9 +12,10 @@ import numpy as np
 
 from follow.control.servo import Servo, ServoConfig
 from follow.control.target import Target, TargetConfig
+from follow.flight.session import once
 from follow.geometry import Intrinsics, camera_to_ned, project
 from follow.loop import follow
-from follow.messages import Autopilot, Frame, Order, Tick
+from follow.messages import Autopilot, Frame, Order, Tick, VehicleState
 from follow.safety.gate import Limits, Safety
 from racf.box import Box
 from racf.track import Track
@@ -70,7 +71,8 @@ class GroundFlight:
     target: TargetConfig = field(default_factory=TargetConfig)
     limits: Limits = field(default_factory=Limits)
     visible: Callable[[float], bool] = lambda t_s: True
-    state: Callable[[object], object] = lambda state: state  # what the estimator hears
+    state: Callable[[VehicleState], VehicleState] = lambda state: state  # what the estimator hears
+    watch: Callable[[], None] = lambda: None  # runs after each tick, while the estimate is that of the tick
     ticks: list[Tick] = field(default_factory=list)
     truths: list[VehicleTruth] = field(default_factory=list)
 
@@ -124,7 +126,7 @@ class GroundFlight:
             self.errors.slow_size,
         )
         self.estimator = Target(LENS, self.down_rad, self.target)
-        orders = iter((Order.FOLLOW,))
+        orders = once(Order.FOLLOW)
         loop = follow(
             self,
             self.link,
@@ -132,12 +134,18 @@ class GroundFlight:
             self.estimator,
             Servo(self.down_rad, self.servo),
             Safety(self.limits),
-            lambda: next(orders, None),
+            orders,
         )
         for tick in loop:
             self.ticks.append(tick)
             self.truths.append(self.link.vehicle.motion)
+            self.watch()
         return self
+
+    @property
+    def now_s(self) -> float:
+        """Simulated time."""
+        return self.link.vehicle.motion.t_s
 
     # What came of it
 

@@ -1,0 +1,123 @@
+"""Is the estimate's covariance honest?  Its normalised error squared over hills and flat ground, flown in closed loop.
+
+    python -m tools.studies.nees --out docs/nees.png
+
+NEES is e' P^-1 e of the target's (north, east, v_north, v_east, ground) (Bar-Shalom et al., 2001, §5.4).  Of one flight
+it is averaged over time, and of a group of flights over flights: if the covariance is honest, the mean of N independent
+flights at one time lies in the band chi2(5 N) / N for 95 %.  Boxes err as RACF's do (tests/support/ground_flight.py).
+"""
+
+import argparse
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+from scipy.stats import chi2
+
+from follow.control.joint_filter import VE, VN, E, N, height_row, with_size
+from follow.messages import Autopilot
+from racf.parallel import each
+from tests.support.ground_flight import GroundFlight, hill, walk
+
+SLOPES = (0.0, 0.03, 0.05, 0.08, 0.10, 0.20, -0.03, -0.05, -0.08, -0.10, -0.20)
+SPEEDS_M_S = (1.4, 3.0)
+WAY_M = 115.0
+STATES = 5
+FROM_S = 6.0  # the estimate is judged from here on
+Flight = tuple[str, float, float, int]
+
+
+def nees(flight: Flight) -> tuple[Flight, np.ndarray, dict[str, float]]:
+    """Fly once: times and NEES (T, 2), and what else came of the flight."""
+    rules, speed, slope, seed = flight
+    flown = GroundFlight(walk(speed), hill(slope), Autopilot(rules), end_s=4.0 + WAY_M / speed, seed=seed)
+    rows: list[tuple[float, float]] = []
+    flown.watch = lambda: rows.append((flown.now_s, error_squared(flown)))
+    flown.fly()
+    kept = [row for row in rows if row[0] >= FROM_S]
+    figures = {"nearest_m": float(flown.to_body().min()), "standoff": flown.standoff_rms()}
+    return flight, np.array(kept), figures
+
+
+def error_squared(flown: GroundFlight) -> float:
+    """e' P^-1 e of the filter now."""
+    target, m = flown.estimator, flown.link.vehicle.motion
+    if target.filter is None:
+        return math.nan
+    f = target.carried(m.t_s)
+    here, velocity = np.array([m.north_m, m.east_m, m.down_m]), np.array([m.north_m_s, m.east_m_s])
+    north, east = flown.path(m.t_s)
+    north1, east1 = flown.path(m.t_s - 0.01)
+    height, row = height_row(f, here, target.aspect)
+    row[7] = height - (f.mean[2] - here[2])
+    pick = np.zeros((STATES, len(f.mean)))
+    pick[range(4), [N, E, VN, VE]] = 1.0
+    pick[4] = row
+    truth = np.array([north, east, (north - north1) / 0.01, (east - east1) / 0.01, flown.ground(north, east) - here[2]])
+    error = np.array([*f.mean[[N, E, VN, VE]], height]) - truth
+    return float(error @ np.linalg.solve(pick @ with_size(f, here, velocity) @ pick.T, error))
+
+
+def draw(flights: Sequence[tuple[Flight, np.ndarray, dict[str, float]]], path: Path) -> None:
+    """Mean NEES over the seeds against slope, and over time, with the 95 % bands."""
+    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4))
+    for speed in SPEEDS_M_S:
+        of = [(f[2], rows[:, 1].mean()) for f, rows, _ in flights if f[1] == speed]
+        slopes = sorted({slope for slope, _ in of})
+        left.plot(
+            [100 * s for s in slopes],
+            [np.mean([v for t, v in of if t == s]) for s in slopes],
+            "o-",
+            label=f"{speed} m/s",
+        )
+    count = len({(f[0], f[3]) for f, _, _ in flights})
+    for axis, n in ((left, count), (right, len(flights))):
+        low, high = chi2.ppf((0.025, 0.975), STATES * n) / n
+        axis.axhspan(low, high, color="tab:green", alpha=0.2, label=f"95 % of {n} flights")
+        axis.set_ylabel("NEES, 5 degrees of freedom")
+        axis.set_ylim(bottom=0)
+    left.set_xlabel("slope, %")
+    shortest = min(len(rows) for _, rows, _ in flights)
+    right.plot(
+        flights[0][1][:shortest, 0],
+        np.mean([rows[:shortest, 1] for _, rows, _ in flights], axis=0),
+        label="all flights",
+    )
+    right.set_xlabel("time, s")
+    left.legend()
+    right.legend()
+    figure.tight_layout()
+    figure.savefig(path, dpi=90)
+
+
+def main() -> None:
+    """Fly all of it and print a table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=Path("nees.png"), help="where the plot goes")
+    parser.add_argument("--seeds", type=int, default=2, help="flights of each kind")
+    parser.add_argument("--autopilot", choices=[a.value for a in Autopilot], action="append", help="one or both")
+    chosen = parser.parse_args()
+    kinds = [
+        (rules, speed, slope, seed)
+        for rules in chosen.autopilot or [a.value for a in Autopilot]
+        for speed in SPEEDS_M_S
+        for slope in SLOPES
+        for seed in range(1, chosen.seeds + 1)
+    ]
+    flights = [result for _, result in each(nees, kinds)]
+    flights.sort(key=lambda flight: kinds.index(flight[0]))
+    for (rules, speed, slope, seed), rows, figures in flights:
+        print(
+            f"{rules} {speed} m/s {100 * slope:+.0f} % seed {seed}: NEES {np.nanmean(rows[:, 1]):.2f}, "
+            f"nearest {figures['nearest_m']:.1f} m, stand-off {100 * figures['standoff']:.1f} %"
+        )
+    low, high = chi2.ppf((0.025, 0.975), STATES * len(flights)) / len(flights)
+    mean = np.mean([np.nanmean(rows[:, 1]) for _, rows, _ in flights])
+    print(f"all {len(flights)}: NEES {mean:.2f}, 95 % band {low:.2f} to {high:.2f}")
+    draw(flights, chosen.out)
+
+
+if __name__ == "__main__":
+    main()
