@@ -154,7 +154,7 @@ RIDE = replace(
     height_m=8.0,
     standoff_m=12.0,
     size_m=0.9,
-    limits={"speed_m_s": 12.0, "fence_m": 600.0},
+    limits={"speed_m_s": 12.0, "fence_m": 600.0, "clear_distance": 0.0},
 )
 DRIVE = replace(
     WALK,
@@ -168,7 +168,7 @@ DRIVE = replace(
     standoff_m=22.0,
     size_m=2.5,
     fov_rad=math.radians(90.0),
-    limits={"speed_m_s": 20.0, "fence_m": 900.0, "accel_m_s2": 4.0},
+    limits={"speed_m_s": 20.0, "fence_m": 900.0, "accel_m_s2": 4.0, "clear_distance": 0.0},
 )
 DUSK = Optics(shutter_s=1 / 40, noise=9.0, swing=0.12, jpeg_quality=70)
 

@@ -21,16 +21,22 @@ from follow.messages import (
     VehicleState,
 )
 from follow.safety.authority import Authority, Facts, judged
-from follow.safety.checks import PLAUSIBLE, hindrances, must_stop, stale, unseen
-from follow.safety.envelope import limit_altitude, limit_closing_speed, limit_velocity
+from follow.safety.checks import PLAUSIBLE, Hindrance, hindrances, must_stop, stale, unseen
+from follow.safety.distance import UNKNOWN, Sighting, Worst, distance_m, limit_closing_speed, limit_descent, worst
+from follow.safety.envelope import Surroundings, limit_altitude, limit_velocity
 from follow.safety.limits import Limits
-from follow.safety.modes import STREAMING
+from follow.safety.modes import FLYING, STREAMING
 from follow.safety.ramps import VelocityRamp, YawRateRamp
+from follow.safety.response import Response, disobeying, watched
 
 
 @dataclass(frozen=True, slots=True)
 class Gate:
-    """The gate's memory between rounds.  Velocities are NED; `fence_centre` is north and east (None: not set yet)."""
+    """The gate's memory between rounds.  Velocities are NED; places are north and east, None until they are known.
+
+    The fence is centred on home or, if
+    that is unknown, where the first stream began.
+    """
 
     authority: Authority = field(default_factory=Authority)
     t_s: float = NEVER
@@ -38,6 +44,9 @@ class Gate:
     down: VelocityRamp = field(default_factory=lambda: VelocityRamp((0.0,)))
     yaw: YawRateRamp = field(default_factory=YawRateRamp)
     fence_centre: tuple[float, float] | None = None
+    last_seen: Sighting | None = None
+    resets: int = 0
+    response: Response = field(default_factory=Response)
 
     @property
     def mode(self) -> Mode:
@@ -47,6 +56,9 @@ class Gate:
 
 STEP_S = 0.1
 """Maximum time step of the ramps: a longer gap between rounds counts as this."""
+
+UNSEEN_S = 0.15
+"""A target not seen for this long, two frames of a slow camera, may be behind a wall where it was last seen."""
 
 STILL_M_S = 0.05
 """A vehicle in BRAKE counts as stopped when the speed last sent is below this."""
@@ -75,18 +87,17 @@ def clamped(value: float, largest: float) -> float:
     return min(max(value, -largest), largest)
 
 
-def present_velocity(estimate: Estimate, state: VehicleState, limits: Limits) -> tuple[float, float, float]:
+def present_velocity(target: Worst, state: VehicleState, limits: Limits) -> tuple[float, float, float]:
     """The vehicle's own NED velocity as far as stand-off, altitude band and speed limit permit it to be kept."""
-    forward, right, _ = state.body_velocity_m_s()
-    over = max(math.hypot(forward, right) / limits.speed_m_s, 1.0)
-    forward, right = limit_closing_speed(forward / over, right / over, estimate, state, limits)
-    down = limit_altitude(clamped(state.down_m_s, limits.climb_m_s), estimate, state, limits)
-    return (*heading_to_ned(forward, right, state.yaw_rad), down)
+    over = max(math.hypot(state.north_m_s, state.east_m_s) / limits.speed_m_s, 1.0)
+    north, east = limit_closing_speed(state.north_m_s / over, state.east_m_s / over, target, limits)
+    down = limit_descent(clamped(state.down_m_s, limits.climb_m_s), target, state, limits)
+    return north, east, limit_altitude(down, target, state, limits)
 
 
-def start_ramps(gate: Gate, estimate: Estimate, state: VehicleState, limits: Limits) -> Gate:
+def start_ramps(gate: Gate, target: Worst, state: VehicleState, limits: Limits) -> Gate:
     """The gate as streaming begins: the ramps start at the present velocity."""
-    north, east, down = present_velocity(estimate, state, limits)
+    north, east, down = present_velocity(target, state, limits)
     return replace(
         gate,
         horizontal=VelocityRamp((north, east)),
@@ -110,45 +121,85 @@ def decide(
 
     `contradiction` is what an external check found to contradict the estimate; it brakes like stale data.
     """
+    t_s = state.t_s if math.isfinite(state.t_s) else gate.t_s
+    dt = clamped(max(t_s - gate.t_s, 0.0), STEP_S) if gate.t_s > NEVER else 0.0
     old = stale(state, frame_t_s, limits)
-    old = (*old, contradiction) if contradiction else old
+    old = (*old, *(text for text in (estimate.contradiction, contradiction) if text))
     unseen_s = unseen(estimate, state.t_s, limits)
-    stopping = must_stop(state, gate.authority.had_remote)
-    findings = hindrances(state, old, unseen_s, stopping, instruction.forbids, limits)
-    still = speed(gate) < STILL_M_S
-    authority = judged(gate.authority, Facts(state, old, unseen_s, findings, stopping, still, instruction), limits)
+    is_fresh = not old and math.isfinite(unseen_s)
+    target = worst(estimate, state, limits) if is_fresh else UNKNOWN
+    gate = remembered(gate, target, estimate, state, dt, is_fresh)
+    authority = judged(gate.authority, facts(gate, target, state, old, unseen_s, instruction, limits), limits)
     if authority.mode in STREAMING and not math.isfinite(state.yaw_rad):
         # Without a heading no NED velocity can be turned into body axes, not even the ramp to zero.
         authority = replace(authority, mode=Mode.ENDED, reason=Reason(Cause.NO_HEADING), order=None)
-    t_s = state.t_s if math.isfinite(state.t_s) else gate.t_s
-    dt = clamped(max(t_s - gate.t_s, 0.0), STEP_S) if gate.t_s > NEVER else 0.0
     notes = old if desired.is_finite() else (*old, "the desired setpoint is not finite")
-    begins = authority.mode in STREAMING and gate.mode not in STREAMING
-    if begins:
-        gate, dt = start_ramps(gate, estimate, state, limits), 0.0
+    if authority.mode in STREAMING and gate.mode not in STREAMING:
+        gate, dt = start_ramps(gate, target, state, limits), 0.0
     gate = replace(gate, authority=authority, t_s=t_s)
     if authority.mode not in STREAMING:
         return gate, Decision(None, authority.mode, notes, authority.reason, authority.release)
-    fresh = not old and math.isfinite(unseen_s)
-    velocity, turn, held = permitted(gate, desired, estimate, state, unseen_s if fresh else None, limits)
+    velocity, turn, held = (0.0, 0.0, 0.0), 0.0, ()
+    if is_fresh:
+        velocity, turn, held = permitted(gate, desired, target, state, unseen_s, limits)
     gate = ramped(gate, velocity, turn, dt, limits)
     setpoint = body_setpoint(gate, state.yaw_rad)
     return gate, Decision(setpoint, authority.mode, (*notes, *held), authority.reason, authority.release)
 
 
+def facts(
+    gate: Gate,
+    target: Worst,
+    state: VehicleState,
+    old: tuple[str, ...],
+    unseen_s: float,
+    instruction: Instruction,
+    limits: Limits,
+) -> Facts:
+    """What the authority must know of this round."""
+    stopping = must_stop(state, gate.authority.had_remote) or disobeying(gate.response, state, limits)
+    found = hindrances(state, old, unseen_s, stopping, instruction.forbids, limits)
+    if target is not UNKNOWN and distance_m(target) < limits.min_standoff_m:
+        near = f"the target may be nearer than {limits.min_standoff_m:g} m"
+        found = (*found, Hindrance(near, passing=True))
+    return Facts(state, old, unseen_s, found, stopping, speed(gate) < STILL_M_S, instruction)
+
+
+def remembered(gate: Gate, target: Worst, estimate: Estimate, state: VehicleState, dt_s: float, is_fresh: bool) -> Gate:
+    """The gate with the place of the last sighting, the fence's centre and the vehicle's response."""
+    if state.resets != gate.resets:  # the autopilot moved its own origin: what is remembered moves with it
+        moved = state.reset_north_m, state.reset_east_m
+        seen, centre = gate.last_seen, gate.fence_centre
+        if seen is not None:
+            seen = replace(seen, north_m=seen.north_m + moved[0], east_m=seen.east_m + moved[1])
+        if centre is not None:
+            centre = centre[0] + moved[0], centre[1] + moved[1]
+        gate = replace(gate, resets=state.resets, last_seen=seen, fence_centre=centre)
+    if is_fresh and (gate.last_seen is None or estimate.seen_t_s > gate.last_seen.t_s):
+        north, east = heading_to_ned(target.range_m, 0.0, target.sight_rad)
+        seen = Sighting(state.north_m + north, state.east_m + east, target.sight_rad, estimate.seen_t_s)
+        gate = replace(gate, last_seen=seen)
+    if is_fresh and state.home_t_s > NEVER:
+        gate = replace(gate, fence_centre=(state.home_north_m, state.home_east_m))
+    if gate.mode not in FLYING or not is_fresh:
+        present = state.north_m_s, state.east_m_s, state.down_m_s
+        return replace(gate, response=Response(present if is_fresh else gate.response.expected))
+    north, east = gate.horizontal.v
+    return replace(gate, response=watched(gate.response, (north, east, gate.down.v[0]), state, dt_s))
+
+
 def permitted(
-    gate: Gate, desired: Setpoint, estimate: Estimate, state: VehicleState, unseen_s: float | None, limits: Limits
+    gate: Gate, desired: Setpoint, target: Worst, state: VehicleState, unseen_s: float, limits: Limits
 ) -> tuple[tuple[float, float, float], float, tuple[str, ...]]:
-    """The NED velocity and yaw rate that mode and limits permit, and notes.  `unseen_s` is None on stale data."""
-    if unseen_s is None:
-        return (0.0, 0.0, 0.0), 0.0, ()
+    """The NED velocity and yaw rate that mode and limits permit on fresh data, and notes."""
     if gate.mode is Mode.ENGAGE:
         # The measured velocity jitters: it is approached within the ramps' acceleration, never copied.
-        return present_velocity(estimate, state, limits), clamped(state.yaw_rate_rad_s, limits.yaw_rate_rad_s), ()
+        return present_velocity(target, state, limits), clamped(state.yaw_rate_rad_s, limits.yaw_rate_rad_s), ()
     allowed = scale_for_mode(gate.mode, desired, unseen_s, limits)
     speed_m_s = limits.speed_m_s if gate.mode is Mode.FOLLOW else min(limits.coast_m_s, limits.speed_m_s)
-    centre = gate.fence_centre or (state.north_m, state.east_m)
-    velocity, held = limit_velocity(allowed, speed_m_s, estimate, state, centre, limits)
+    last_seen = gate.last_seen if unseen_s > UNSEEN_S else None
+    around = Surroundings(target, gate.fence_centre or (state.north_m, state.east_m), last_seen)
+    velocity, held = limit_velocity(allowed, speed_m_s, around, state, limits)
     return velocity, allowed.yaw_rate_rad_s, held
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from follow.ranges import require_numbers
 
-MAY_BE_ZERO = ("latency_s", "out_of_view_m_s")
+MAY_BE_ZERO = ("latency_s", "out_of_view_m_s", "clear_distance")
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +29,8 @@ class Limits:
     ceiling_m: float = 100.0  # Maximum height; the open category's limit in Europe is 120 m.
     fence_m: float = 300.0  # Maximum distance from where FOLLOW began: visual line of sight of a small drone.
     min_standoff_m: float = 4.0  # Minimum distance to the target's head; braking takes 1 m from a walk, 3 m from a run.
+    above_target_m: float = 25.0  # Maximum height above the target for a climb; 12 m away at 30 degrees it is 7 m.
+    clear_distance: float = 1.0  # The vehicle must be able to stop within this fraction of the range; 0 means no limit.
     range_sigmas: float = 2.0  # The target is assumed nearer than estimated by this many standard deviations.
     half_view_rad: float | None = None  # How far the camera sees to either side. Derived: half of its field of view.
     out_of_view_m_s: float = 2.0  # Maximum horizontal speed out of the camera's view; people behind can evade a walk.
@@ -42,6 +44,7 @@ class Limits:
     give_up_after_s: float = 20.0  # Timeout of SEARCH, then HOLD; a walker may be 28 m from its prediction by then.
     stale_grace_s: float = 1.0  # Grace period for stale data before the stream stops or an order is void.
     hold_timeout_s: float = 30.0  # Timeout of HOLD, then the autopilot's own Hold, which also holds the position.
+    disobey_after_s: float = 2.0  # A vehicle whose velocity differs from what is sent for this long does not obey.
     ready_after_s: float = 0.5  # FOLLOW must be possible for this long before READY is shown; against flicker.
     order_timeout_s: float = 3.0  # An order that cannot be carried out within this time is void.
     engage_timeout_s: float = 5.0  # Timeout for the autopilot to obey; PX4 needs 1 s of stream and 1 s to report.

@@ -1,0 +1,141 @@
+"""The minimum distance to the target: what it takes from a velocity, and the retreat and climb that it asks for.
+
+Everything is written along the line of sight over the ground.  `Worst` is the target at its nearest: the range and the
+height that its uncertainty leaves possible.  Pure functions.
+"""
+
+import math
+from dataclasses import dataclass
+
+from follow.geometry import heading_to_ned, ned_to_heading
+from follow.messages import Estimate, VehicleState
+from follow.safety.limits import Limits
+
+SETTLE_S = 1.5
+"""Time constant of the last metre before a border: dead time, jerk limit and the autopilot's response together."""
+
+REACT_S = 1.0
+"""From a cause to full deceleration: detection (0.25 s), ramp (a/2J = 0.125 s) and the autopilot's response (0.6 s)."""
+
+HEAD_M = 2.0
+"""Height of a target's head that is not known better."""
+
+NEARING_M_S = 0.3
+"""A target that moves towards the vehicle faster than this comes nearer; less is noise of the estimate."""
+
+FULL_CLIMB_M = 0.5
+"""The vehicle climbs at the full limit when it is this much or more below the height that it needs."""
+
+
+@dataclass(frozen=True, slots=True)
+class Worst:
+    """The target at its nearest: NED angle of the line of sight, range along the ground and height above its head, m.
+
+    `approach_m_s` is the target's own speed towards the vehicle.
+    """
+
+    sight_rad: float
+    range_m: float
+    above_m: float
+    approach_m_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Sighting:
+    """The nearest place where the target may have been at `t_s`, local NED, and the NED angle at which it was seen."""
+
+    north_m: float
+    east_m: float
+    sight_rad: float
+    t_s: float
+
+
+UNKNOWN = Worst(0.0, 0.0, 0.0, 0.0)
+"""No target: without fresh data nothing is read from it."""
+
+
+def worst(estimate: Estimate, state: VehicleState, limits: Limits) -> Worst:
+    """The nearest that the estimate leaves possible, by `range_sigmas` standard deviations where no bound is given."""
+    near = estimate.range_m - limits.range_sigmas * estimate.range_std_m
+    if math.isfinite(estimate.range_near_m):
+        near = min(estimate.range_near_m, estimate.range_m)
+    below = estimate.ground_below_m - limits.range_sigmas * estimate.ground_std_m
+    below = below if math.isfinite(below) else -state.down_m
+    top = estimate.target_height_m if math.isfinite(estimate.target_height_m) else HEAD_M
+    sight = state.yaw_rad + estimate.azimuth_rad
+    away, _ = ned_to_heading(estimate.north_m_s, estimate.east_m_s, sight)
+    return Worst(sight, max(near, 0.0), max(below - max(top, HEAD_M), 0.0), -away)
+
+
+def distance_m(target: Worst) -> float:
+    """From the vehicle to the target's head, or to its side if the vehicle is lower."""
+    return math.hypot(target.range_m, target.above_m)
+
+
+def approach_speed(distance_m: float, accel_m_s2: float) -> float:
+    """Speed allowed towards a border `distance_m` >= 0 away: v = sqrt(a d), at half the deceleration, and v <= d/T."""
+    return min(math.sqrt(accel_m_s2 * distance_m), distance_m / SETTLE_S)
+
+
+def stopping_speed(distance_m: float, accel_m_s2: float) -> float:
+    """Speed from which the vehicle stops within `distance_m` >= 0: v²/2a + v T = d, with T the reaction time."""
+    lag = accel_m_s2 * REACT_S
+    return math.sqrt(lag * lag + 2 * accel_m_s2 * distance_m) - lag
+
+
+def closing_speed(target: Worst, limits: Limits) -> float:
+    """Speed allowed towards the target; negative: the vehicle must retreat, up to the speed limit.
+
+    Relative to the target it is what half the deceleration stops before the stand-off.  Over the ground the vehicle
+    must be able to stop before the place where the target is, for there it may vanish behind a wall.
+    """
+    needed = math.sqrt(max(limits.min_standoff_m**2 - target.above_m**2, 0.0))
+    allowed = math.inf
+    if needed > 0.0:
+        room = target.range_m - needed
+        keeping = approach_speed(room, limits.accel_m_s2) if room >= 0 else 2 * room / SETTLE_S
+        allowed = keeping - target.approach_m_s
+    if limits.clear_distance > 0.0:
+        allowed = min(allowed, stopping_speed(limits.clear_distance * target.range_m, limits.accel_m_s2))
+    return max(allowed, -limits.speed_m_s)
+
+
+def limit_closing_speed(north: float, east: float, target: Worst, limits: Limits) -> tuple[float, float]:
+    """The NED velocity with its part towards the target no faster than allowed, or turned into a retreat."""
+    closing, across = ned_to_heading(north, east, target.sight_rad)
+    allowed = closing_speed(target, limits)
+    return (north, east) if closing <= allowed else heading_to_ned(allowed, across, target.sight_rad)
+
+
+def limit_to_last_seen(
+    north: float, east: float, seen: Sighting, state: VehicleState, limits: Limits
+) -> tuple[float, float]:
+    """The NED velocity that stops `min_standoff_m` before the wall that may be where the target was last seen."""
+    closing, across = ned_to_heading(north, east, seen.sight_rad)
+    ahead, _ = ned_to_heading(seen.north_m - state.north_m, seen.east_m - state.east_m, seen.sight_rad)
+    allowed = approach_speed(max(ahead - limits.min_standoff_m, 0.0), limits.accel_m_s2)
+    return (north, east) if closing <= allowed else heading_to_ned(allowed, across, seen.sight_rad)
+
+
+def needed_above_m(target: Worst, state: VehicleState, limits: Limits) -> float:
+    """Height above the target's head that keeps the stand-off at the nearest range that braking leaves.
+
+    Both motions count: at the relative closing speed s the range still falls by s²/2a + s T, with T = SETTLE_S.
+    """
+    own, _ = ned_to_heading(state.north_m_s, state.east_m_s, target.sight_rad)
+    closing = max(own + target.approach_m_s, 0.0)
+    nearest = max(target.range_m - closing**2 / (2 * limits.accel_m_s2) - closing * SETTLE_S, 0.0)
+    return math.sqrt(max(limits.min_standoff_m**2 - nearest**2, 0.0))
+
+
+def limit_descent(down: float, target: Worst, state: VehicleState, limits: Limits) -> float:
+    """The downward speed that keeps the height needed above the target's head; a climb where it is too low.
+
+    While the target comes nearer there is no descent: height is what a fast approach leaves no time to gain.
+    """
+    if target.approach_m_s > NEARING_M_S:
+        down = min(down, 0.0)
+    room = target.above_m - needed_above_m(target, state, limits)
+    if room >= 0.0:
+        return min(down, approach_speed(room, limits.climb_accel_m_s2))
+    return min(down, max(room / FULL_CLIMB_M, -1.0) * limits.climb_m_s)
