@@ -75,7 +75,7 @@ PRESETS: Mapping[TargetKind, Layer] = MappingProxyType(
         TargetKind.PERSON: {
             "target": {"size_m": 1.2},  # sqrt(0.8 m x 1.8 m)
             "servo": {"standoff_m": 12.0},
-            "limits": {"speed_m_s": 8.0},
+            "limits": {"speed_m_s": 8.0, "clear_distance": 1.0},
         },
         TargetKind.CYCLIST: {
             "target": {"size_m": 1.4},  # sqrt(w h) between 1.0 m (from behind) and 1.8 m (from the side)

@@ -5,72 +5,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from follow.messages import HOVER, NEVER, Autopilot, Cause, Estimate, Landed, Mode, Order, Setpoint, VehicleState
-from follow.safety.distance import (
-    Sighting,
-    approach_speed,
-    limit_closing_speed,
-    limit_to_last_seen,
-    needed_above_m,
-    stopping_speed,
-    worst,
-)
+from follow.messages import HOVER, NEVER, Estimate, Landed, Mode, Order, Setpoint
+from follow.safety.distance import approach_speed
 from follow.safety.envelope import in_view, limit_to_fence
 from follow.safety.gate import Gate, Limits, Safety, decide
 from follow.safety.ramps import VelocityRamp, YawRateRamp
+from tests.support.gate_rig import DT, LIMITS, engaged, fly, flying, seen
 
-LIMITS = Limits(half_view_rad=math.radians(35.0), latency_s=0.0)
-DT = 1 / 30
 any_float = st.floats(allow_nan=True, allow_infinity=True)
 desired_setpoints = st.builds(Setpoint, any_float, any_float, any_float, any_float)
-
-
-def flying(t_s, **changes):
-    state = VehicleState(
-        t_s=t_s,
-        attitude_t_s=t_s,
-        position_t_s=t_s,
-        heartbeat_t_s=t_s,
-        down_m=-20.0,
-        autopilot=Autopilot.PX4,
-        mode="OFFBOARD" if changes.get("in_control", True) else "HOLD",
-        in_control=True,
-        armed=True,
-        landed_t_s=t_s,
-        landed=Landed.IN_AIR,
-    )
-    return replace(state, **changes)
-
-
-def seen(t_s):
-    return Estimate(t_s, 0.0, 0.4, 12.0, 1.0, seen_t_s=t_s)
-
-
-def engaged(**changes):
-    """A gate that follows, and the time."""
-    safety = Safety(LIMITS)
-    safety.order(Order.FOLLOW)
-    for i in range(3):
-        decision = safety.allow(HOVER, seen(i * DT), flying(i * DT, **changes), i * DT)
-    assert decision.mode == "follow"
-    return safety, 2 * DT
-
-
-def fly(safety, t_s, seconds, desired, seen_t_s=None, frame_t_s=None, **changes):
-    """Rounds with one desired setpoint; returns the decisions."""
-    decisions = []
-    for i in range(1, round(seconds / DT) + 1):
-        now = t_s + i * DT
-        estimate = seen(now if seen_t_s is None else seen_t_s)
-        state = flying(now, **{**obeyed(safety), **changes})
-        decisions.append(safety.allow(desired, estimate, state, now if frame_t_s is None else frame_t_s))
-    return decisions
-
-
-def obeyed(safety):
-    """The velocity of a vehicle that flies what was sent."""
-    north, east = safety.gate.horizontal.v
-    return {"north_m_s": north, "east_m_s": east, "down_m_s": safety.gate.down.v[0]}
 
 
 @given(st.lists(st.tuples(desired_setpoints, st.floats(-0.2, 0.5), any_float, any_float), min_size=1, max_size=40))
@@ -369,136 +312,6 @@ def test_out_of_the_view_nothing_is_flown_faster_than_blind_speed(forward, right
     off = min(math.hypot(f - k * math.cos(a), r - k * math.sin(a)) for k, a in zip(lengths, seen_angles, strict=True))
     assert off <= LIMITS.out_of_view_m_s + 0.02
     assert math.hypot(f, r) <= math.hypot(forward, right) + 1e-9
-
-
-@given(st.floats(-20, 20), st.floats(-3, 3), st.floats(0.1, 100), st.floats(0, 30), st.floats(2, 30), st.floats(-7, 7))
-def test_closing_in_stops_before_the_stand_off_were_the_target_as_near_as_it_may_be(
-    speed, azimuth, away, std, height, toward
-):
-    """Referee: the relative motion along the sight, braked at half the limit, ends outside the stand-off."""
-    north, east = -toward * math.cos(azimuth), -toward * math.sin(azimuth)
-    estimate = replace(seen(0.0), azimuth_rad=azimuth, range_m=away, range_std_m=std, north_m_s=north, east_m_s=east)
-    target = worst(estimate, flying(0.0, down_m=-height), LIMITS)
-    n, e = limit_closing_speed(speed * math.cos(azimuth), speed * math.sin(azimuth), target, LIMITS)
-    closing = n * math.cos(azimuth) + e * math.sin(azimuth)
-    near, above = max(away - 2 * std, 0.0), height - 2.0
-    assert closing <= speed + 1e-9
-    assert closing >= min(speed, -LIMITS.speed_m_s) - 1e-9
-    needed = math.sqrt(max(LIMITS.min_standoff_m**2 - above**2, 0.0))
-    relative = closing + toward
-    if needed > 0 and relative > 0 and closing > -LIMITS.speed_m_s + 1e-6:
-        assert near - relative**2 / LIMITS.accel_m_s2 >= needed - 1e-6
-    assert max(closing, 0.0) ** 2 / (2 * LIMITS.accel_m_s2) + max(closing, 0.0) <= near + 1e-6
-
-
-@given(st.floats(0.0, 30.0), st.floats(0.0, 10.0), st.floats(-7.0, 7.0))
-def test_the_height_that_is_needed_keeps_the_stand_off_at_the_nearest_point(away, above, toward):
-    estimate = replace(seen(0.0), range_m=away, range_std_m=0.0, north_m_s=-toward)
-    state = flying(0.0, down_m=-2.0 - above)
-    target = worst(estimate, state, LIMITS)
-    needed = needed_above_m(target, state, LIMITS)
-    nearest = max(away - max(toward, 0.0) ** 2 / 5.0 - 1.5 * max(toward, 0.0), 0.0)
-    assert math.hypot(nearest, needed) >= LIMITS.min_standoff_m - 1e-6
-
-
-@pytest.mark.parametrize("speed", [3.0, 5.0, 7.0])
-def test_a_vehicle_stops_before_the_place_where_its_target_vanished(speed):
-    """A doorway: the target vanishes; 0.25 s until that is noticed, then a vehicle with a lag of 0.6 s."""
-    room = (speed + 2.5) ** 2 / 5.0 - 2.5 / 2  # from which stopping_speed allows this speed
-    assert stopping_speed(room, LIMITS.accel_m_s2) == pytest.approx(speed)
-    v, north, ramp = speed, -room + 0.25 * speed, VelocityRamp((speed, 0.0))
-    for _ in range(600):
-        state = flying(0.0, north_m=north)
-        desired = limit_to_last_seen(speed, 0.0, Sighting(0.0, 0.0, 0.0, 0.0), state, LIMITS)
-        ramp = ramp.towards(desired, DT, 8.0, 2.5, 10.0)
-        v += (ramp.v[0] - v) * DT / 0.6
-        north += v * DT
-    assert north < 0.0
-    assert abs(v) < 0.3
-
-
-def test_follow_is_not_granted_from_inside_the_stand_off():
-    safety = Safety(LIMITS)
-    safety.order(Order.FOLLOW)
-    for i in range(120):
-        t_s = i * DT
-        near = replace(seen(t_s), range_m=2.2, range_std_m=0.1)
-        decision = safety.allow(HOVER, near, flying(t_s, down_m=-3.0), t_s)
-        assert decision.setpoint is None
-    assert decision.reason.cause is Cause.ORDER_VOID
-    assert "nearer than 4 m" in str(decision.reason)
-
-
-@pytest.mark.parametrize("toward", [1.4, 3.0, 6.0])
-def test_a_target_that_comes_nearer_makes_the_gate_retreat_and_climb_against_the_servo(toward):
-    safety, t_s = engaged(down_m=-4.0)
-    coming = replace(seen(t_s + DT), range_m=5.0, range_std_m=0.2, north_m_s=-toward)
-    for i in range(1, 45):
-        now = t_s + i * DT
-        state = flying(now, down_m=-4.0, **{**obeyed(safety), "down_m_s": 0.0})
-        decision = safety.allow(Setpoint(3.0, 0.0, 1.0), replace(coming, t_s=now, seen_t_s=now), state, now)
-    assert decision.setpoint.forward_m_s < -0.5
-    if toward >= 3.0:  # a walker is outrun along the ground
-        assert decision.setpoint.down_m_s < 0.0
-    assert "held by the stand-off limit" in decision.notes
-
-
-def test_a_climb_ends_at_its_height_above_the_target():
-    safety, t_s = engaged()
-    high = fly(safety, t_s, 3.0, Setpoint(down_m_s=-2.0), down_m=-27.5)[-1]
-    assert high.setpoint.down_m_s == pytest.approx(0.0, abs=1e-3)
-    assert "held by the altitude limit" in high.notes
-
-
-def test_a_vehicle_that_does_not_fly_what_is_sent_is_left_to_its_autopilot():
-    safety, t_s = engaged()
-    standing = fly(safety, t_s, 10.0, Setpoint(4.0), north_m_s=0.0, east_m_s=0.0)
-    causes = list(dict.fromkeys(d.reason.cause for d in standing))
-    assert causes == [Cause.OBEYS, Cause.NOT_OBEYING, Cause.STOPPED]
-    began = next(i for i, d in enumerate(standing) if d.reason.cause is Cause.NOT_OBEYING)
-    assert began * DT < 4.0
-    assert standing[-1].setpoint is None
-
-
-def test_a_vehicle_that_lags_or_drifts_as_real_ones_do_obeys():
-    safety, t_s = engaged()
-    v = 0.0
-    for i in range(1, 900):
-        now = t_s + i * DT
-        v += (safety.gate.horizontal.v[0] - v) * DT / 0.9
-        state = flying(now, north_m_s=v + 0.5, down_m_s=0.3 * math.sin(now))
-        decision = safety.allow(Setpoint(6.0 if i // 150 % 2 else -1.0), seen(now), state, now)
-    assert decision.mode is Mode.FOLLOW
-
-
-def test_what_is_remembered_moves_with_the_autopilots_origin():
-    safety, t_s = engaged()
-    place, centre = safety.gate.last_seen, safety.gate.fence_centre
-    moved = {"resets": 1, "reset_north_m": 5.0, "reset_east_m": -2.0, "north_m": 5.0, "east_m": -2.0}
-    safety.allow(HOVER, seen(t_s), flying(t_s + DT, **moved), t_s + DT)
-    now = safety.gate.last_seen
-    assert (now.north_m, now.east_m) == pytest.approx((place.north_m + 5.0, place.east_m - 2.0))
-    assert safety.gate.fence_centre == pytest.approx((centre[0] + 5.0, centre[1] - 2.0))
-
-
-def test_the_fence_is_about_home_and_does_not_move_with_orders():
-    home = {"home_t_s": 0.0, "home_north_m": -290.0}
-    safety, t_s = engaged(**home)
-    out = fly(safety, t_s, 4.0, Setpoint(3.0), north_m=10.5, **home)[-1].setpoint
-    assert out.forward_m_s < 0.0
-
-
-def test_an_external_contradiction_brakes_and_then_ends():
-    safety, t_s = engaged()
-    fly(safety, t_s, 3.0, Setpoint(2.0))
-    modes, t_s = [], t_s + 3.0
-    for i in range(1, 150):
-        now = t_s + i * DT
-        state = flying(now, **obeyed(safety))
-        decision = safety.allow(Setpoint(2.0), seen(now), state, now, contradiction="the image does not move")
-        modes.append(decision.mode)
-    assert list(dict.fromkeys(modes)) == [Mode.BRAKE, Mode.ENDED]
-    assert str(decision.reason) == "stopped: the image does not move"
 
 
 @given(st.floats(-9, 9), st.floats(-9, 9), st.floats(-500, 500), st.floats(-500, 500))
