@@ -28,28 +28,35 @@ class Confidence:
         self._psr = self._value = 0.0
 
     def ratio(self, psr: float, value: float) -> float:
-        """The geometric mean of both over their running means, in 0..1."""
-        if self._psr <= 0 or self._value <= 0:
-            return 1.0
-        return min(math.sqrt(max(psr / self._psr, 0.0) * max(value / self._value, 0.0)), 1.0)
+        """The geometric mean of both over their usual values, in 0..1.
+
+        The usual PSR counts as `usual_psr_max` at most, so that a sharp response is not doubted for having been sharper
+        before, and as `usual_psr_min` at least, so that a target without features is doubted.
+        """
+        usual_psr = min(max(self._psr, self.params.usual_psr_min), self.params.usual_psr_max)
+        peak = max(value / self._value, 0.0) if self._value > 0 else 1.0
+        return min(math.sqrt(max(psr / usual_psr, 0.0) * peak), 1.0)
 
     def judge(self, psr: float, value: float) -> Verdict:
         """The verdict on a frame.  A lost target is found again by a response of at least `regain_above`.
 
-        Clear frames make the running means.  Others also count, but slowly: a target that stays changed becomes normal
-        in the end.  The first `settle_frames` always count as clear: the very first response, of a filter that has seen
-        one image to a nearly identical second one, can be far sharper than any later one.
+        Clear frames make the running means.  Others count too, though slowly: a target that stays changed becomes
+        normal in the end.  The first `settle_frames` are clear unless their PSR is below `least_psr`: the very first
+        response, of a filter that has seen one image to a second that is nearly the same, can be far sharper than any
+        later one.
         """
         params, ratio = self.params, self.ratio(psr, value)
         self._frames += 1
-        settling = self._frames <= params.settle_frames
+        sharp = psr >= params.least_psr
+        settling = sharp and self._frames <= params.settle_frames
         if self.lost_frames:
-            self.lost_frames = 0 if ratio >= params.regain_above else self.lost_frames + 1
-        elif ratio < params.lost_below and not settling:
+            self.lost_frames = 0 if sharp and ratio >= params.regain_above else self.lost_frames + 1
+        elif not sharp or (ratio < params.lost_below and not settling):
             self.lost_frames = 1
         clear = settling or (ratio >= params.learn_above and not self.lost_frames)
         rate = params.confidence_rate if clear else params.confidence_rate_doubtful
-        rate = max(rate, 1.0 / self._frames) if clear else rate  # the plain mean, until it is as long as the memory
+        if clear or self._frames == 1:
+            rate = max(rate, 1.0 / self._frames)  # the plain mean, until it is as long as the memory
         self._psr += rate * (psr - self._psr)
         self._value += rate * (value - self._value)
         if self.lost_frames:

@@ -83,6 +83,9 @@ class Params:
     # the wall is taken for the target [measured, sim wall].
     confidence_rate: float = 0.01  # of the running means, in clear frames
     confidence_rate_doubtful: float = 0.002  # of the running means, in other frames: a memory of five hundred
+    usual_psr_max: float = 20.0  # a PSR above it is sharp however sharp it was before [measured]
+    usual_psr_min: float = 10.0  # targets with features begin with at least 8 [measured]
+    least_psr: float = 5.0  # a response below it shows no target: sky, noise and black have 3 to 4.5 [measured]
     settle_frames: int = 5  # frames after the start in which every response is trusted: no usual value is known yet
     strict_iou: float = 0.8  # strict_refine: least overlap [measured]
     velocity_rate: float = 0.35  # predict_motion: rate of the running mean of the motion [measured]
@@ -113,6 +116,8 @@ class Params:
         for name, least in at_least.items():
             if getattr(self, name) < least:
                 raise ValueError(f"{name} is at least {least}, not {getattr(self, name)}")
+        if not 0 < self.usual_psr_min <= self.usual_psr_max:
+            raise ValueError(f"usual_psr_min is positive and at most usual_psr_max, not {self.usual_psr_min}")
         for name in ("label_sigma", "penalty", "penalty_growth", "penalty_max", "scale_sigma", "scale_ridge"):
             if getattr(self, name) <= 0:
                 raise ValueError(f"{name} is positive, not {getattr(self, name)}")

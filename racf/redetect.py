@@ -54,7 +54,8 @@ class Redetection:
         if confidence.ratio(first.psr, first.value) < self.params.redetect_glance:
             return None
         again = translation.locate(image, first.box)
-        if confidence.ratio(again.psr, again.value) < self.params.regain_above:
+        sharp = again.psr >= self.params.least_psr
+        if not sharp or confidence.ratio(again.psr, again.value) < self.params.regain_above:
             return None
         confidence.lost_frames = 0
         return again

@@ -88,7 +88,7 @@ class Racf:
             self._box = self._kept_inside(expected)
             self._velocity.unseen()
             return self._track(expected, match, None, verdict, clock)
-        self._box = self._kept_inside(match.box)
+        self._box = self._kept_inside(self._weighed(expected, match, verdict))
         trusted = verdict is Verdict.CLEAR or not params.gate_learning
         if trusted:
             self._estimate_scale(image)
@@ -137,6 +137,17 @@ class Racf:
         if not self.params.predict_motion:
             return self._box
         return self._box.moved(self._velocity.dx, self._velocity.dy)
+
+    def _weighed(self, expected: Box, match: Match, verdict: Verdict) -> Box:
+        """The measured box; in a doubtful frame moved towards the predicted one, the more the less it is believed."""
+        params = self.params
+        if verdict is not Verdict.DOUBTFUL or not params.predict_motion:
+            return match.box
+        ratio = self._confidence.ratio(match.psr, match.value)
+        doubtful = max(params.learn_above - params.lost_below, 1e-9)
+        weight = min(max((ratio - params.lost_below) / doubtful, 0.0), 1.0)
+        dx, dy = match.box.centre_x - expected.centre_x, match.box.centre_y - expected.centre_y
+        return expected.moved(weight * dx, weight * dy)
 
     def _kept_inside(self, box: Box) -> Box:
         """The box with its centre kept in the image and its sides between 2 px and the image's."""

@@ -65,6 +65,37 @@ def test_a_first_response_sharper_than_all_that_follow_does_not_make_the_rest_lo
     assert confidence.judge(3.0, 0.2) is Verdict.LOST
 
 
+@pytest.mark.parametrize("side", [12, 40, 100])
+@pytest.mark.parametrize("kind", ["black", "white", "noise", "sky"])
+def test_a_first_box_without_features_is_not_called_found_within_five_frames(kind, side):
+    random = np.random.default_rng(3)
+    sky = np.linspace(120, 220, 300)[:, None, None] + np.zeros((300, 400, 3))
+
+    def image() -> np.ndarray:
+        if kind == "noise":
+            return random.integers(0, 256, sky.shape, dtype=np.uint8)
+        flat = {"black": 0 * sky, "white": 0 * sky + 255, "sky": sky + random.normal(0, 1, sky.shape)}[kind]
+        return np.clip(flat, 0, 255).astype(np.uint8)
+
+    tracker = Racf(ROBUST)
+    tracker.init(image(), Box(180, 120, side, side))
+    tracks = [tracker.update(image()) for _ in range(12)]
+    assert not any(track.found for track in tracks[4:])
+    assert max(track.confidence for track in tracks[4:]) < ROBUST.regain_above
+
+
+@pytest.mark.parametrize("belief", [0.0, 0.25, 1.0])
+def test_a_doubtful_response_moves_the_box_from_the_prediction_as_far_as_it_is_believed(belief, monkeypatch):
+    tracker, expected = settled(), box(60, 100)
+    match = tracker._filter.locate(GROUND, expected)
+    ratio = ROBUST.lost_below + belief * (ROBUST.learn_above - ROBUST.lost_below)
+    monkeypatch.setattr(tracker._confidence, "ratio", lambda psr, value: ratio)
+    weighed = tracker._weighed(expected, match, Verdict.DOUBTFUL)
+    assert weighed.centre_x - expected.centre_x == pytest.approx(belief * (match.box.centre_x - expected.centre_x))
+    assert weighed.centre_y - expected.centre_y == pytest.approx(belief * (match.box.centre_y - expected.centre_y))
+    assert tracker._weighed(expected, match, Verdict.CLEAR) == match.box
+
+
 def test_nothing_is_learned_while_the_target_is_hidden():
     tracker = settled()
     learned = tracker._filter._learned
