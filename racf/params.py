@@ -2,7 +2,7 @@
 
 [Paper] is Li et al., "Learning Residue-Aware Correlation Filters and Refining Scale Estimates with the GrabCut for
 Real-Time UAV Tracking" (2021); [ARCF] the published parameters of ARCF-HC, whose features and scale filter the paper
-says it uses; [measured] points to the tables in docs/notebook.md.
+says it uses; [measured] points to the tables in docs/notebook.md and docs/study.md.
 """
 
 import math
