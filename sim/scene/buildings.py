@@ -26,9 +26,10 @@ def built(block: Block, sun: Sun, terrain: Terrain) -> list[Draft]:
 
 
 def lit(corners: Array, colour: Colour, light: tuple[float, float, float]) -> Draft:
-    """A face lit as it is turned; corners run clockwise seen from outside."""
+    """A face lit as it is turned; corners run counterclockwise seen from outside."""
     points = corners.tolist()
-    return points, shade(colour, AMBIENT + (1 - AMBIENT) * 1.2 * max(facing(points, light), 0.0)), None
+    # A part's corners run clockwise seen from outside, which `outlined_parts` shows; the normal needs them as given.
+    return points[::-1], shade(colour, AMBIENT + (1 - AMBIENT) * 1.2 * max(facing(points, light), 0.0)), None
 
 
 def windows(quad: Array, block: Block) -> list[Draft]:
@@ -42,7 +43,7 @@ def windows(quad: Array, block: Block) -> list[Draft]:
             a, b = (column + 0.3) / columns, (column + 0.7) / columns
             c, d = (floor + 0.35) / floors, (floor + 0.8) / floors
             pane = np.array([base + along * u + up * v for u, v in ((a, c), (b, c), (b, d), (a, d))])
-            parts.append((pane.tolist(), (78, 66, 55) if (3 * column + floor) % 4 else (120, 112, 100), None))
+            parts.append((pane.tolist()[::-1], (78, 66, 55) if (3 * column + floor) % 4 else (120, 112, 100), None))
     return parts
 
 

@@ -11,11 +11,12 @@ from follow.messages import Autopilot, Setpoint
 from sim.scenarios import SCENARIOS, build
 from sim.scene.bodies import body
 from sim.scene.drawing import View
+from sim.scene.ground import block_corners
 from sim.scene.optics import Lens, Optics, Sensor, streak
 from sim.scene.rendering import Scene, Seen
 from sim.scene.surface import SKY
 from sim.scene.terrain import LEVEL, Terrain, slope
-from sim.scene.world import Actor, Kind, Leg, Look, Sun, Tree, World, route, wall
+from sim.scene.world import Actor, Block, Kind, Leg, Look, Sun, Tree, World, route, wall
 
 CAMERA = Intrinsics.from_fov(640, 360, math.radians(80.0))
 BENT = replace(CAMERA, cx=320.0, cy=180.0, distortion=(-0.2, 0.03, 0.0, 0.0, 0.0))
@@ -180,6 +181,21 @@ def test_a_wall_hides_as_much_as_its_height_says():
     scene = Scene(standing(blocks=wall(-5.0, -4.0, 8.0, math.pi / 2, 0.9)), CAMERA)
     seen = scene.draw(view(-10.0, height_m=0.9, down_deg=0.0), 0.0)[1][0]
     assert 0.35 < seen.visible < 0.75  # all above 0.9 m of 1.7 m, where shoulders are wider than legs
+
+
+@pytest.mark.parametrize("windows", [False, True])
+@pytest.mark.parametrize("heading", [0.0, 1.0, 2.5, 4.0])
+def test_a_house_shows_its_near_sides_and_hides_who_is_inside(heading, windows):
+    """Its lowest pixel lies where the nearest corner of its base is projected: the far sides are not drawn."""
+    house = Block(6.0, 0.0, 12.0, 8.0, 5.0, heading, (0, 0, 250), (0, 250, 0), windows=windows)
+    scene = Scene(standing(north_m=7.0, blocks=(house,)), CAMERA)
+    v = view(-20.0, height_m=7.0, down_deg=20.0)
+    image, (seen,) = scene.draw(v, 0.0)
+    empty = Scene(standing(north_m=7.0), CAMERA).draw(v, 0.0)[0]
+    base, _ = v.project(np.column_stack([block_corners(house), np.zeros(4)]))
+    reds = (image[:, :, 2] > 100) & (image[:, :, 1] < 20) & (image[:, :, 0] < 20) & (empty[:, :, 1] > 20)
+    assert np.flatnonzero(reds.any(axis=1)).max() == pytest.approx(base[:, 1].max(), abs=3.0)
+    assert seen.visible == 0.0
 
 
 def test_a_tree_between_hides():
