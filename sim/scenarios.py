@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -15,7 +16,21 @@ from sim.link import SimLink
 from sim.measured import GRAVITY_M_S2, RESPONSES
 from sim.scene.optics import Optics
 from sim.scene.world import Kind, World
-from sim.scene.worlds import car_road, footpath, look_alike, set_off, stops, trees_between, turn_back, wall_between
+from sim.scene.worlds import (
+    car_road,
+    footpath,
+    hillside,
+    look_alike,
+    set_off,
+    speeding_away,
+    stops,
+    straight_at,
+    straight_back,
+    through_door,
+    trees_between,
+    turn_back,
+    wall_between,
+)
 
 Stage = Callable[[np.random.Generator, Kind, float], World]
 
@@ -40,6 +55,7 @@ class Scenario:
     standoff_m: float = 9.0
     cruise_m_s: float = 1.4
     rolling_start: bool = False  # the vehicle already flies at the target's speed
+    face_to_face: bool = False  # the vehicle starts before the target, not behind it
     size_m: float = 1.0
     limits: dict[str, float] = field(default_factory=dict)
     frames_per_s: float = 30.0
@@ -75,11 +91,12 @@ class Scenario:
         }
 
     def start(self, world: World, seed: int) -> VehicleTruth:
-        """Behind the target, looking at it within a few degrees."""
+        """Behind the target, or before it, looking at it within a few degrees."""
         random = np.random.default_rng([seed, 7])
         target = world.target(0.0)
-        behind = heading_to_ned(-self.standoff_m, 0.0, target.heading_rad)
-        velocity = heading_to_ned(self.cruise_m_s if self.rolling_start else 0.0, 0.0, target.heading_rad)
+        yaw = target.heading_rad + (math.pi if self.face_to_face else 0.0)
+        behind = heading_to_ned(-self.standoff_m, 0.0, yaw)
+        velocity = heading_to_ned(self.cruise_m_s if self.rolling_start else 0.0, 0.0, yaw)
         north, east = target.north_m + behind[0], target.east_m + behind[1]
         return VehicleTruth(
             north_m=north,
@@ -87,7 +104,7 @@ class Scenario:
             down_m=target.down_m - self.height_m,
             north_m_s=velocity[0],
             east_m_s=velocity[1],
-            yaw_rad=math.remainder(target.heading_rad + random.uniform(-0.08, 0.08), math.tau),
+            yaw_rad=math.remainder(yaw + random.uniform(-0.08, 0.08), math.tau),
             ground_m=world.terrain.height_m(north, east),
         )
 
@@ -170,6 +187,74 @@ DRIVE = replace(
     fov_rad=math.radians(90.0),
     limits={"speed_m_s": 20.0, "fence_m": 900.0, "accel_m_s2": 4.0, "clear_distance": 0.0},
 )
+
+
+def hill(grade: float = 0.1, speed_m_s: float = 1.4, distance_m: float = 70.0) -> Scenario:
+    """Somebody on foot goes up a hill (grade < 0: down) for a distance at a constant speed, m/s."""
+    return replace(
+        WALK,
+        name="hill",
+        about=f"{'up' if grade > 0 else 'down'} a hill of {100 * abs(grade):g} % at {speed_m_s:g} m/s",
+        kind=Kind.WALKER if speed_m_s < 2.0 else Kind.RUNNER,
+        stage=partial(hillside, grade=grade, speed_m_s=speed_m_s),
+        cruise_m_s=speed_m_s,
+        duration_s=math.ceil(1.0 + distance_m / speed_m_s),
+    )
+
+
+def head_on(speed_m_s: float = 3.0, height_m: float = 8.0, standoff_m: float = 12.0) -> Scenario:
+    """Somebody comes straight at the drone, m/s, that hovers at a height and a distance, m."""
+    return replace(
+        WALK,
+        name="head-on",
+        about=f"somebody comes straight at the drone at {speed_m_s:g} m/s",
+        kind=Kind.WALKER if speed_m_s < 2.0 else Kind.RUNNER,
+        stage=partial(straight_at, speed_m_s=speed_m_s),
+        cruise_m_s=0.0,
+        face_to_face=True,
+        height_m=height_m,
+        standoff_m=standoff_m,
+        duration_s=math.ceil(14.0 + 24.0 / speed_m_s),
+    )
+
+
+def about_face(speed_m_s: float = 4.0) -> Scenario:
+    """A runner, m/s, turns on the spot and comes back along its own line, to where the drone is."""
+    return replace(
+        RUN,
+        name="turn-back",
+        about=f"a runner at {speed_m_s:g} m/s who turns straight back",
+        stage=partial(straight_back, speed_m_s=speed_m_s),
+        cruise_m_s=speed_m_s,
+        duration_s=22.0,
+    )
+
+
+def doorway(speed_m_s: float = 5.0) -> Scenario:
+    """A runner, m/s, vanishes through the door of a house that lies across the path."""
+    return replace(
+        RUN,
+        name="doorway",
+        about=f"a runner at {speed_m_s:g} m/s who vanishes through a door",
+        stage=partial(through_door, speed_m_s=speed_m_s),
+        cruise_m_s=speed_m_s,
+        limits={"speed_m_s": speed_m_s + 2.0},
+        duration_s=20.0,
+    )
+
+
+def outrun(speed_m_s: float = 8.0, limit_m_s: float = 5.0) -> Scenario:
+    """A cyclist speeds up to more than the vehicle may fly, both in m/s."""
+    return replace(
+        RIDE,
+        name="outrun",
+        about=f"a cyclist at {speed_m_s:g} m/s, the vehicle limited to {limit_m_s:g} m/s",
+        stage=partial(speeding_away, from_m_s=limit_m_s - 1.0, to_m_s=speed_m_s),
+        cruise_m_s=limit_m_s - 1.0,
+        limits={**RIDE.limits, "speed_m_s": limit_m_s},
+    )
+
+
 DUSK = Optics(shutter_s=1 / 40, noise=9.0, swing=0.12, jpeg_quality=70)
 
 _ALL = (
@@ -203,5 +288,10 @@ _ALL = (
         fov_rad=math.radians(90.0),
         distortion=(-0.18, 0.03, 0.0, 0.0, 0.0),
     ),
+    hill(),
+    head_on(),
+    about_face(),
+    doorway(),
+    outrun(),
 )
 SCENARIOS: dict[str, Scenario] = {scenario.name: scenario for scenario in _ALL}

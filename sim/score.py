@@ -11,44 +11,58 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-from follow.geometry import Intrinsics
+from follow.geometry import Intrinsics, ned_to_heading
 from follow.messages import Setpoint, Tick
 from racf.box import Box
-from sim.camera import FrameTruth
+from sim.camera import FrameTruth, SceneCamera
 from sim.dynamics import VehicleTruth
+from sim.scene.world import ActorPose, Kind
 
 ON_TARGET_IOU = 0.1  # less overlap than this is no longer the target; the trackers' usual mark for a lost one is 0
-HIDDEN = 0.25  # share of the target that shows, below which it counts as occluded
+HIDDEN = 0.25  # fraction of the target that shows, below which it counts as occluded
 BEHIND = 2.0  # offset, in half widths, that counts for a target behind the camera; also the largest that counts
 SLACK = 1e-6  # relative; rounding of the limits' own arithmetic
+
+PERSON_M = (0.0, 0.0, 1.75)
+BODY_M = {Kind.WALKER: PERSON_M, Kind.RUNNER: PERSON_M, Kind.CYCLIST: (1.75, 0.0, 1.75), Kind.CAR: (4.5, 1.8, 1.45)}
+"""Length, width, height of each kind as `sim/scene/bodies.py` draws it; somebody on foot is a line up from the feet."""
 
 
 @dataclass(frozen=True, slots=True)
 class ScoredTick:
-    """What scoring needs of one round.  `box` is the tracker's (None: no new picture) and `truth` of that picture."""
+    """What scoring needs of one round.
+
+    `box` is the tracker's (None: no new frame) and `truth` that frame's.  `nearest_m` and `nearest_other_m` lead from
+    the vehicle to the target's body and to the nearest other actor's (inf: there is nobody else).
+    """
 
     t_s: float
-    motion: VehicleTruth
+    vehicle: VehicleTruth
     setpoint: Setpoint | None
     yaw_rad: float  # as the gate knew it when it turned its velocity into the body's axes
     mode: str
     box: Box | None
     found: bool
     truth: FrameTruth | None
+    nearest_m: float = math.inf
+    nearest_other_m: float = math.inf
 
     @classmethod
-    def of(cls, tick: Tick, motion: VehicleTruth, truth: FrameTruth | None) -> "ScoredTick":
-        """The row of a tick, the true motion at its end and the truth of its picture."""
-        track = tick.track
+    def of(cls, tick: Tick, camera: SceneCamera) -> "ScoredTick":
+        """The row of a tick that the camera has just led to."""
+        track, (vehicle, poses) = tick.track, camera.now()
+        away = [body_distance(a.kind, p, vehicle) for a, p in zip(camera.world.actors, poses, strict=True)]
         return cls(
             tick.state.t_s,
-            motion,
+            vehicle,
             tick.decision.setpoint,
             tick.state.yaw_rad,
             tick.decision.mode,
             track.box if track else None,
             track.found if track else False,
-            truth,
+            camera.truth(tick.frame.index) if tick.frame else None,
+            away[0],
+            min(away[1:], default=math.inf),
         )
 
 
@@ -66,6 +80,8 @@ class FlightScore:
     reacquired: bool | None
     worst_t_s: float
     worst_offset: float
+    nearest_m: float
+    nearest_other_m: float | None
     violations: dict[str, int]
 
 
@@ -74,25 +90,27 @@ def score(
 ) -> FlightScore:
     """All figures of a flight.
 
-    in_view         share of pictures with the target's centre inside
-    centring_rms    of the true centre's distance from the picture's middle, in half picture widths
-    centring_x_rms  ... its horizontal part alone
-    standoff_rms_m  of the true distance along the ground less `standoff_m`; standoff_rms the same over `standoff_m`
+    in_view         fraction of frames with the target's centre inside
+    centring_rms    RMS of the true centre's distance from the image's middle, in half image widths
+    centring_x_rms  the same of its horizontal part alone
+    standoff_rms_m  RMS of the true distance along the ground less `standoff_m`; standoff_rms the same over `standoff_m`
     off_target_s    time with the target in plain view and the tracker's box not on it
     decoy_s         longest time that the box was on another actor and not on the target
     reacquired      the box is on the target again within 3 s of the end of every occlusion; None without one
-    worst_...       the time of the largest offset from the middle
+    worst_t_s       time of the largest offset from the middle, `worst_offset`
+    nearest_m       least distance from the vehicle to the target's body, from feet to head
+    nearest_other_m the same to anybody else; None without one
     violations      {limit: rounds in which it was passed}; `limits` are named as the gate's own
 
-    Raises ValueError when no row has a picture.
+    Raises ValueError if no row has a frame.
     """
-    pictures = [row for row in rows if row.truth is not None]
-    if not pictures:
-        raise ValueError("a flight without pictures has no score")
-    offsets = [offset(row, camera) for row in pictures]
+    framed = [row for row in rows if row.truth is not None]
+    if not framed:
+        raise ValueError("a flight without frames has no score")
+    offsets = [offset(row, camera) for row in framed]
     lengths = [math.hypot(x, y) for x, y in offsets]
     inside = [abs(x) <= 1.0 and abs(y) <= camera.height / camera.width for x, y in offsets]
-    away = [distance(row) - standoff_m for row in pictures]
+    away = [distance(row) - standoff_m for row in framed]
     worst = max(range(len(lengths)), key=lengths.__getitem__)
     return FlightScore(
         in_view=sum(inside) / len(inside),
@@ -100,13 +118,30 @@ def score(
         centring_x_rms=rms([x for x, _ in offsets]),
         standoff_rms_m=rms(away),
         standoff_rms=rms(away) / standoff_m,
-        off_target_s=longest_or_total(pictures, strayed, longest=False),
-        decoy_s=longest_or_total(pictures, on_decoy, longest=True),
-        reacquired=reacquired(pictures),
-        worst_t_s=pictures[worst].t_s,
+        off_target_s=longest_or_total(framed, strayed, longest=False),
+        decoy_s=longest_or_total(framed, on_decoy, longest=True),
+        reacquired=reacquired(framed),
+        worst_t_s=framed[worst].t_s,
         worst_offset=lengths[worst],
+        nearest_m=min(row.nearest_m for row in rows),
+        nearest_other_m=finite(min(row.nearest_other_m for row in rows)),
         violations=violations(rows, limits),
     )
+
+
+def body_distance(kind: Kind, pose: ActorPose, vehicle: VehicleTruth) -> float:
+    """Distance from the vehicle to an actor's body, metres; 0 inside it."""
+    length, width, height = BODY_M[kind]
+    north, east = vehicle.north_m - pose.north_m, vehicle.east_m - pose.east_m
+    ahead, aside = ned_to_heading(north, east, pose.heading_rad)
+    up = pose.down_m - vehicle.down_m
+    outside = max(abs(ahead) - length / 2, 0.0), max(abs(aside) - width / 2, 0.0), max(-up, up - height, 0.0)
+    return math.hypot(*outside)
+
+
+def finite(value: float) -> float | None:
+    """The value, or None for an infinite one."""
+    return value if math.isfinite(value) else None
 
 
 def rms(values: Sequence[float]) -> float:
@@ -115,7 +150,7 @@ def rms(values: Sequence[float]) -> float:
 
 
 def offset(row: ScoredTick, camera: Intrinsics) -> tuple[float, float]:
-    """The true target's centre from the picture's middle, right and down, in half picture widths."""
+    """The true target's centre from the image's middle, right and down, in half image widths."""
     box = row.truth.box if row.truth else None
     if box is None:
         return BEHIND, 0.0
@@ -125,11 +160,11 @@ def offset(row: ScoredTick, camera: Intrinsics) -> tuple[float, float]:
 
 
 def distance(row: ScoredTick) -> float:
-    """Along the ground from the vehicle to the target when the picture was taken, metres."""
+    """Along the ground from the vehicle to the target when the frame was taken, metres."""
     if row.truth is None:
-        raise ValueError("a row without a picture has no distance")
-    place, motion = row.truth.poses[0], row.truth.vehicle
-    return math.hypot(place.north_m - motion.north_m, place.east_m - motion.east_m)
+        raise ValueError("a row without a frame has no distance")
+    target, vehicle = row.truth.poses[0], row.truth.vehicle
+    return math.hypot(target.north_m - vehicle.north_m, target.east_m - vehicle.east_m)
 
 
 def on(row: ScoredTick, actor: int) -> bool:
@@ -139,7 +174,7 @@ def on(row: ScoredTick, actor: int) -> bool:
 
 
 def shows(row: ScoredTick) -> bool:
-    """Whether the target can be seen in the row's picture."""
+    """Whether the target can be seen in the row's frame."""
     return row.truth is not None and row.truth.visible >= HIDDEN
 
 
@@ -187,16 +222,17 @@ def reacquired(rows: Sequence[ScoredTick]) -> bool | None:
 def violations(rows: Sequence[ScoredTick], limits: Mapping[str, float]) -> dict[str, int]:
     """In how many rounds each limit was passed, from the first that sent a setpoint on.
 
-    Speeds are checked in rounds that sent one, accelerations where the round before did, too; places, which are the
-    vehicle's own, in all.  The fence is about the vehicle's place at the first setpoint.
+    Speeds and the distance to the target's body are checked in rounds that sent a setpoint, accelerations if the round
+    before also did; the vehicle's own position in all.  Heights are above the ground below the vehicle, the fence is
+    about its position at the first setpoint.
     """
     count: Counter[str] = Counter()
     first = next((k for k, row in enumerate(rows) if row.setpoint is not None), len(rows))
     before: tuple[float, complex, float] | None = None
     for row in rows[first:]:
-        m, start = row.motion, rows[first].motion
+        m, start = row.vehicle, rows[first].vehicle
         over = {
-            "ceiling_m": -m.down_m,
+            "ceiling_m": m.height_m,
             "fence_m": math.hypot(m.north_m - start.north_m, m.east_m - start.east_m),
         }
         sent = row.setpoint
@@ -213,6 +249,8 @@ def violations(rows: Sequence[ScoredTick], limits: Mapping[str, float]) -> dict[
                 over["climb_accel_m_s2"] = abs(sent.down_m_s - before[2]) / dt
         for name, value in over.items():
             count[name] += name in limits and value > limits[name] * (1 + SLACK) + SLACK
-        count["floor_m"] += "floor_m" in limits and -m.down_m < limits["floor_m"] * (1 - SLACK)
+        least = {"floor_m": m.height_m, "min_standoff_m": row.nearest_m if sent is not None else math.inf}
+        for name, value in least.items():
+            count[name] += name in limits and value < limits[name] * (1 - SLACK)
         before = now
     return {name: passed for name, passed in count.items() if passed}

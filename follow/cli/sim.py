@@ -69,7 +69,7 @@ def simulate(flight: FlightSpec, terminal: Terminal, *, bar: bool) -> tuple[Figu
 
         def true_box(tick: Tick) -> Box | None:
             truth = camera.truth(tick.frame.index) if tick.frame else None
-            rows.append(ScoredTick.of(tick, link.vehicle.motion, truth))
+            rows.append(ScoredTick.of(tick, camera))
             if tick.frame is None or truth is None:
                 return None
             strip.add(tick.frame, truth.box, tick.track.box if tick.track else None)

@@ -95,7 +95,7 @@ def listed(figures: Figures) -> str:
     return text
 
 
-COLUMNS = ("in_view", "centring_rms", "standoff_rms_m", "lost_s", "violations", "worst_t_s")
+COLUMNS = ("in_view", "centring_rms", "standoff_rms_m", "lost_s", "nearest_m", "violations", "worst_t_s")
 
 
 def table(summaries: list[Figures]) -> str:

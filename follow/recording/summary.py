@@ -46,6 +46,8 @@ class Figures(TypedDict, total=False):
     reacquired: bool
     worst_t_s: float
     worst_offset: float
+    nearest_m: float
+    nearest_other_m: float
     violations: dict[str, int]
     recording_dropped: int
 

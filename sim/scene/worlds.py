@@ -1,11 +1,27 @@
-"""Worlds by seed: who goes where, past what.  Every way starts at the origin, northward."""
+"""Worlds by seed: who goes where, past what.  Every path starts at the origin, northward."""
 
 import math
 from dataclasses import replace
 
 import numpy as np
 
-from sim.scene.world import GAITS, Actor, Colour, Kind, Leg, Look, Road, Sun, Tree, World, route, scatter, wall
+from sim.scene.terrain import slope
+from sim.scene.world import (
+    GAITS,
+    Actor,
+    Block,
+    Colour,
+    Kind,
+    Leg,
+    Look,
+    Road,
+    Sun,
+    Tree,
+    World,
+    route,
+    scatter,
+    wall,
+)
 
 Generator = np.random.Generator
 
@@ -194,3 +210,54 @@ def look_alike(random: Generator, kind: Kind, duration_s: float) -> World:
         ends = [(north - s * math.cos(away), east - s * math.sin(away)) for s in (reach, -60.0)]
         actors.append(Actor(kind, route(kind, (Leg(*ends[0]), Leg(*ends[1])), duration_s), clothes))
     return furnished(random, World(tuple(actors), roads=(path(points),), sun=sun(random)))
+
+
+def going(legs: tuple[Leg, ...], random: Generator, kind: Kind, duration_s: float) -> World:
+    """One actor alone on a gravel path along its legs."""
+    actor = Actor(kind, route(kind, legs, duration_s), look(random, kind))
+    road = path([(leg.north_m, leg.east_m) for leg in legs])
+    return World((actor,), roads=(road,), sun=sun(random))
+
+
+def hillside(random: Generator, kind: Kind, duration_s: float, *, grade: float, speed_m_s: float) -> World:
+    """Straight up (grade > 0) or down a hill that begins 6 m ahead and goes on beyond the flight's end."""
+    length = speed_m_s * (duration_s + 8)
+    world = going((Leg(0, 0, speed_m_s, pause_s=1.0), Leg(length, 0, speed_m_s)), random, kind, duration_s)
+    return furnished(random, replace(world, terrain=slope(grade, 6.0, length + 30.0)))
+
+
+def straight_at(random: Generator, kind: Kind, duration_s: float, *, speed_m_s: float) -> World:
+    """The actor waits for 6 s and then comes straight at the drone and on below it."""
+    legs = Leg(0, 0, speed_m_s, pause_s=6.0), Leg(speed_m_s * duration_s, 0, speed_m_s)
+    return furnished(random, going(legs, random, kind, duration_s))
+
+
+def straight_back(random: Generator, kind: Kind, duration_s: float, *, speed_m_s: float) -> World:
+    """Away for 8 s, then on its heel and back along its own line, where the drone is."""
+    far = 8.0 * speed_m_s
+    legs = Leg(0, 0, speed_m_s), Leg(far, 0, speed_m_s), Leg(far - 5, 0, speed_m_s), Leg(-9 * far, 0, speed_m_s)
+    return furnished(random, going(legs, random, kind, duration_s))
+
+
+def through_door(random: Generator, kind: Kind, duration_s: float, *, speed_m_s: float) -> World:
+    """After 8 s at this speed the actor runs through a door into a house, and stops inside.
+
+    The house is block 0, its wall 8 s of the way ahead; block 1 is the door.
+    """
+    wall_m, stop_m = 8.0 * speed_m_s, 1.0 + speed_m_s**2 / GAITS[kind].accel_m_s2  # it slows down behind the door only
+    length = 2.0 * (stop_m + 1.0)
+    house = Block(
+        wall_m + length / 2, 0.0, length, 2.0 * length, 5.0, 0.0, (130, 150, 170), (60, 70, 140), windows=True
+    )
+    door = Block(wall_m - 0.05, 0.0, 0.1, 1.1, 2.1, 0.0, (52, 50, 48), (52, 50, 48))
+    legs = Leg(0, 0, speed_m_s), Leg(wall_m + stop_m, 0, speed_m_s)
+    return furnished(random, replace(going(legs, random, kind, duration_s), blocks=(house, door)))
+
+
+def speeding_away(
+    random: Generator, kind: Kind, duration_s: float, *, from_m_s: float, to_m_s: float, after_m: float = 30.0
+) -> World:
+    """The actor goes at one speed for a while and then at another."""
+    legs = Leg(0, 0, from_m_s), Leg(after_m, 0, from_m_s), Leg(after_m + to_m_s * (duration_s + 8), 0, to_m_s)
+    world = replace(going(legs, random, kind, duration_s), ground_texels=4096)
+    return furnished(random, world, 60.0 + 0.6 * to_m_s * duration_s)

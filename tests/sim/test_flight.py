@@ -11,11 +11,11 @@ from racf.box import Box
 from sim.camera import CameraSettings, FrameTruth, LiveFlight, SceneCamera
 from sim.dynamics import Vehicle, VehicleTruth
 from sim.link import SimLink
-from sim.scenarios import SCENARIOS, build
+from sim.scenarios import SCENARIOS, build, doorway, head_on, hill
 from sim.scene.rendering import Seen
 from sim.scene.terrain import slope
 from sim.scene.world import GAITS, ActorPose, Kind, Leg, route
-from sim.score import ScoredTick, score
+from sim.score import BODY_M, ScoredTick, body_distance, score
 
 BLANK = np.zeros((360, 640, 3), np.uint8)
 NOTHING = (Seen(None, 0.0),)
@@ -33,6 +33,71 @@ def test_every_scenario_begins_with_the_target_near_the_middle(name):
         assert abs(box.centre_x - 320) < 70
         assert abs(box.centre_y - 180) < 120
         assert box.h > 25
+
+
+@pytest.mark.parametrize("speed_m_s", [1.4, 3.0])
+@pytest.mark.parametrize("grade", [0.03, 0.05, 0.08, 0.1, 0.2, -0.03, -0.05, -0.08, -0.1, -0.2])
+def test_a_hill_is_as_steep_and_as_long_as_it_is_made(grade, speed_m_s):
+    scenario = hill(grade, speed_m_s, distance_m=115.0)
+    world = scenario.world(0)
+    first, last = world.target(0.0), world.target(scenario.duration_s)
+    assert last.north_m - first.north_m == pytest.approx(115.0, abs=speed_m_s + 1.5)
+    late = world.target(scenario.duration_s - 20.0)
+    assert (late.down_m - last.down_m) / (last.north_m - late.north_m) == pytest.approx(grade, rel=1e-6)
+    start = scenario.start(world, 0)
+    assert start.height_m == pytest.approx(scenario.height_m)
+
+
+@pytest.mark.parametrize("speed_m_s", [1.4, 3.0, 6.0])
+def test_who_comes_head_on_reaches_the_drone_that_does_nothing(speed_m_s):
+    """Over the ground, within a step: only evading keeps the distance."""
+    scenario = head_on(speed_m_s)
+    world = scenario.world(0)
+    start = scenario.start(world, 0)
+    times = np.arange(0.0, scenario.duration_s, 0.05)
+    poses = [world.target(t) for t in times]
+    away = [math.hypot(p.north_m - start.north_m, p.east_m - start.east_m) for p in poses]
+    assert away[0] == pytest.approx(scenario.standoff_m)
+    assert min(away) < 0.5
+    assert max(p.speed_m_s for p in poses) == pytest.approx(speed_m_s)
+    assert math.cos(start.yaw_rad - poses[0].heading_rad) < -0.99  # face to face
+
+
+def test_who_turns_back_passes_below_where_the_drone_was():
+    scenario = SCENARIOS["turn-back"]
+    world = scenario.world(0)
+    poses = [world.target(t) for t in np.arange(0.0, scenario.duration_s, 0.05)]
+    furthest = max(p.north_m for p in poses)
+    behind = furthest - scenario.standoff_m
+    assert min(math.hypot(p.north_m - behind, p.east_m) for p in poses[-200:]) < 2.5
+    assert poses[-1].north_m < behind
+    assert math.cos(poses[-1].heading_rad) < -0.95
+
+
+@pytest.mark.parametrize("speed_m_s", [3.0, 5.0, 7.0])
+def test_who_runs_through_the_door_does_so_at_full_speed_and_is_not_seen_again(speed_m_s):
+    scenario = doorway(speed_m_s)
+    world = replace(scenario.world(0), ground_texels=1024)
+    house = world.blocks[0]
+    wall_m = house.north_m - house.length_m / 2
+    poses = [(t, world.target(t)) for t in np.arange(0.0, scenario.duration_s, 0.1)]
+    at_door = next(pose for _, pose in poses if pose.north_m > wall_m)
+    assert at_door.speed_m_s == pytest.approx(speed_m_s, abs=0.05)
+    last = poses[-1][1]
+    assert last.speed_m_s == 0.0
+    assert wall_m < last.north_m < wall_m + house.length_m
+    vehicle = VehicleTruth(north_m=wall_m - scenario.standoff_m, down_m=-scenario.height_m)
+    camera = SceneCamera(world, SimLink(Vehicle(Autopilot.PX4, vehicle)), scenario.camera_settings(Autopilot.PX4))
+    visible = {t: camera._draw(vehicle, t, 0)[1][0].visible for t, pose in poses[::2] if abs(pose.north_m - wall_m) < 3}
+    before = [seen for t, seen in visible.items() if world.target(t).north_m < wall_m - 0.5]
+    inside = [seen for t, seen in visible.items() if world.target(t).north_m > wall_m + 0.5]
+    assert min(before) == 1.0
+    assert max(inside) == 0.0
+
+
+def test_who_outruns_the_drone_is_faster_than_its_limit():
+    scenario = SCENARIOS["outrun"]
+    assert scenario.world(0).target(scenario.duration_s).speed_m_s > scenario.limits["speed_m_s"] + 2.0
 
 
 @pytest.mark.parametrize("height_m", [0.0, -0.0, -0.3, 1e-9])
@@ -191,16 +256,19 @@ def test_an_actor_stops_where_it_is_told_for_as_long():
 CAMERA = Intrinsics.from_fov(640, 360, 1.4)
 
 
-def rows(boxes, tracked=None, sent=HOVER, others=None, visible=None, dt=0.1) -> list[ScoredTick]:
+def rows(boxes, tracked=None, sent=HOVER, others=None, visible=None, dt=0.1, near=9.0) -> list[ScoredTick]:
     """A flight told by its true boxes; the tracker is right unless told otherwise."""
     out = []
     for k, box in enumerate(boxes):
         motion = VehicleTruth(t_s=k * dt, down_m=-6.0)
         seen = (Seen(box, visible[k] if visible else 1.0), *((Seen(others[k], 1.0),) if others else ()))
-        place = ActorPose(9.0, 0.0, 0.0, 0.0, 0.0)
-        truth = FrameTruth(k, k * dt, motion, (place,) * len(seen), seen)
+        pose = ActorPose(9.0, 0.0, 0.0, 0.0, 0.0)
+        truth = FrameTruth(k, k * dt, motion, (pose,) * len(seen), seen)
+        nearest = near[k] if isinstance(near, list) else near
         setpoint = sent[k] if isinstance(sent, list) else sent
-        out.append(ScoredTick(k * dt, motion, setpoint, 0.0, "follow", tracked[k] if tracked else box, True, truth))
+        out.append(
+            ScoredTick(k * dt, motion, setpoint, 0.0, "follow", tracked[k] if tracked else box, True, truth, nearest)
+        )
     return out
 
 
@@ -255,14 +323,50 @@ def test_limits_are_checked_again_on_what_was_sent():
 
 
 @pytest.mark.parametrize(
-    ("name", "place"), [("fence_m", {"north_m": 60.0}), ("floor_m", {"down_m": -1.0}), ("ceiling_m", {"down_m": -30.0})]
+    ("name", "position"),
+    [("fence_m", {"north_m": 60.0}), ("floor_m", {"down_m": -1.0}), ("ceiling_m", {"down_m": -30.0})],
 )
-def test_where_the_vehicle_goes_is_checked_also_after_the_last_setpoint(name, place):
+def test_where_the_vehicle_goes_is_checked_also_after_the_last_setpoint(name, position):
     flight = rows([MIDDLE] * 10, sent=[None] * 2 + [HOVER] * 3 + [None] * 5)
     away = [
-        replace(row, motion=replace(row.motion, **place)) if k in (0, 7, 8, 9) else row for k, row in enumerate(flight)
+        replace(row, vehicle=replace(row.vehicle, **position)) if k in (0, 7, 8, 9) else row
+        for k, row in enumerate(flight)
     ]
     assert score(away, CAMERA, 9.0, LIMITS | {"ceiling_m": 20.0}).violations == {name: 3}
+
+
+def test_nearer_than_the_minimum_stand_off_counts_while_setpoints_are_sent():
+    near = [9.0, 3.9, 3.9, 4.0, 3.5, 3.0, 8.0]
+    sent = [HOVER] * 5 + [None] * 2
+    s = score(rows([MIDDLE] * 7, sent=sent, near=near), CAMERA, 9.0, {"min_standoff_m": 4.0})
+    assert s.violations == {"min_standoff_m": 3}
+    assert s.nearest_m == 3.0
+    assert s.nearest_other_m is None
+
+
+@pytest.mark.parametrize("ground_m", [0.0, 7.0])
+@pytest.mark.parametrize("kind", list(Kind))
+def test_the_distance_to_a_body_is_that_to_its_nearest_point(kind, ground_m):
+    """Against a search over the points of the box that BODY_M describes, at the actor's heading and on its ground."""
+    pose = ActorPose(3.0, -2.0, 0.7, 0.0, 0.0, down_m=-ground_m)
+    length, width, height = BODY_M[kind]
+    part = np.linspace(0.0, 1.0, 41)
+    a, b, c = (x.ravel() for x in np.meshgrid((part - 0.5) * length, (part - 0.5) * width, part * height))
+    north = 3.0 + a * math.cos(0.7) - b * math.sin(0.7)
+    east = -2.0 + a * math.sin(0.7) + b * math.cos(0.7)
+    for seed in range(20):
+        n, e, up = np.random.default_rng(seed).uniform((-9, -9, -1), (9, 9, 9))
+        vehicle = VehicleTruth(north_m=n, east_m=e, down_m=-ground_m - up)
+        searched = np.sqrt((north - n) ** 2 + (east - e) ** 2 + (c - up) ** 2).min()
+        assert body_distance(kind, pose, vehicle) == pytest.approx(searched, abs=0.06)
+    assert body_distance(kind, pose, VehicleTruth(north_m=3.0, east_m=-2.0, down_m=-ground_m - 1.0)) == 0.0
+
+
+def test_height_limits_are_about_the_ground_below_the_vehicle():
+    flight = [replace(row, vehicle=replace(row.vehicle, ground_m=4.5)) for row in rows([MIDDLE] * 4)]
+    assert score(flight, CAMERA, 9.0, LIMITS).violations == {"floor_m": 4}
+    sunk = [replace(row, vehicle=replace(row.vehicle, ground_m=-20.0)) for row in rows([MIDDLE] * 4)]
+    assert score(sunk, CAMERA, 9.0, LIMITS | {"ceiling_m": 20.0}).violations == {"ceiling_m": 4}
 
 
 def test_what_is_sent_after_a_pause_is_no_acceleration():

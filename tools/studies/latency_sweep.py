@@ -34,7 +34,7 @@ def fly(scenario: Scenario, seed: int, autopilot: Autopilot, tracker: str, *, co
     finder.init(frame.image, box)
     rows = []
     for tick in follow(camera, link, finder, target, servo, safety):
-        rows.append(ScoredTick.of(tick, link.vehicle.motion, camera.truth(tick.frame.index) if tick.frame else None))
+        rows.append(ScoredTick.of(tick, camera))
     return score(rows, lens, scenario.standoff_m, asdict(safety.limits))
 
 
