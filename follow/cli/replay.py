@@ -52,7 +52,7 @@ def replay(command: ReplayCommand) -> None:
             camera, lens = ptz, ptz.intrinsics
             box = box.moved(-ptz.window.x, -ptz.window.y)
         config = resolve(config, lens, config.camera.down_rad, 0.0)  # a file's frames do not come late
-        recorder.settings(as_toml(config))
+        recorder.settings(as_toml(command.config, config))
         target = FootageTarget(Target(lens, config.camera.down_rad, config.target), moves_view=command.ptz)
         servo = Servo(config.camera.down_rad, config.servo)
         tracker, safety = acquire(command.tracker, box), Safety(config.limits)

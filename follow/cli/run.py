@@ -129,7 +129,7 @@ def fly_live(command: RunCommand) -> None:
         with connect(command.link, command.system_id, signing=signing, tlog=Tlog(starting)) as link:
             flight = prepare(command, link, terminal.report)
             recorder = recording.enter_context(begin_recording(command, starting, terminal, early))
-            recorder.settings(as_toml(flight.seen.config))
+            recorder.settings(as_toml(command.config, flight.seen.config))
             fly_prepared(command, flight, link, recorder, terminal.report)
             autopilot = link.state().autopilot
         figures: Figures = {"tracker": command.tracker, "autopilot": autopilot.value if autopilot else ""}

@@ -29,6 +29,9 @@ BranchT = TypeVar("BranchT", bound="DataclassInstance")
 Table = Mapping[str, object]
 """Settings as a TOML file holds them: a table for each branch."""
 
+DERIVED = "derived"
+"""The table of a recorded file with what the flight's camera gave; it is not read: another camera gives others."""
+
 
 def layered(*layers: tuple[str, Table]) -> Config:
     """The defaults with each layer's settings on top of those before it; a layer is its name and its table.
@@ -43,7 +46,7 @@ def layered(*layers: tuple[str, Table]) -> Config:
 
 def file_layer(path: Path) -> tuple[str, Table]:
     """The settings in a file, as a layer.  Raises UsageError."""
-    return f"settings {str(path)!r}", _table(path)
+    return f"settings {str(path)!r}", {key: value for key, value in _table(path).items() if key != DERIVED}
 
 
 def read_settings(path: Path) -> Config:
@@ -117,22 +120,33 @@ def _value(default: object, value: object, source: str, name: str) -> object:
     return value
 
 
-def as_toml(config: Config) -> str:
-    """The settings as a file that `read_settings` reads; a derived setting that nobody gave is left out."""
-    return "\n".join(_lines(config, ""))[1:] + "\n"
+def as_toml(config: Config, resolved: Config | None = None) -> str:
+    """The settings as a file that `read_settings` reads; a derived setting that nobody gave is left out.
+
+    `resolved` are the same settings with each derived one filled in: those that nobody gave follow in tables
+    `[derived.BRANCH]`, which tell what a flight was flown with, and which `read_settings` passes over.
+    """
+    lines = [*_lines(config, "")]
+    if resolved is not None:
+        lines += _lines(config, DERIVED, resolved)
+    return "\n".join(lines)[1:] + "\n"
 
 
-def _lines(branch: "DataclassInstance", name: str) -> Iterator[str]:
+def _lines(branch: "DataclassInstance", name: str, resolved: "DataclassInstance | None" = None) -> Iterator[str]:
+    """A branch as tables; with `resolved` only what it has in place of None."""
     values = {f.name: getattr(branch, f.name) for f in fields(branch)}
-    leaves = {key: value for key, value in values.items() if not is_dataclass(value)}
-    if leaves:
+    inner = {key: value for key, value in values.items() if is_dataclass(value) and not isinstance(value, type)}
+    leaves = {key: value for key, value in values.items() if key not in inner}
+    if resolved is None:
+        written = {key: value for key, value in leaves.items() if value is not None}
+    else:
+        written = {key: getattr(resolved, key) for key, value in leaves.items() if value is None}
+    if written:
         yield f"\n[{name}]"
-    for key, value in leaves.items():
-        if value is not None:
-            yield f"{key} = {literal(value)}"
-    for key, value in values.items():
-        if key not in leaves:
-            yield from _lines(value, f"{name}.{key}" if name else key)
+    for key, value in written.items():
+        yield f"{key} = {literal(value)}"
+    for key, value in inner.items():
+        yield from _lines(value, f"{name}.{key}" if name else key, resolved and getattr(resolved, key))
 
 
 def literal(value: object) -> str:

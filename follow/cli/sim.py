@@ -64,7 +64,7 @@ def simulate(flight: FlightSpec, terminal: Terminal, *, bar: bool) -> tuple[Figu
     rows: list[ScoredTick] = []
     strip = Strip(scenario.duration_s)
     with camera, Recorder(flight.out, config.record, terminal.report, waits=True, about=about) as recorder:
-        recorder.settings(as_toml(config))
+        recorder.settings(as_toml(flight.config, config))
         tracker = acquire(flight.tracker, camera.first()[1])
 
         def true_box(tick: Tick) -> Box | None:

@@ -1,6 +1,7 @@
 """`follow` from the command line: exit statuses, one-line errors, nothing but the summary on standard output."""
 
 import json
+import math
 import os
 import pty
 import subprocess
@@ -14,10 +15,11 @@ import pytest
 from follow.cli import replay as cli_replay
 from follow.cli import run as cli_run
 from follow.cli.program import main
-from follow.cli.settings import read_settings
+from follow.cli.settings import read_settings, tomllib
 from follow.config import CameraConfig, Config
 from follow.control.servo import ServoConfig, ServoMode
 from follow.link import connection
+from follow.messages import Autopilot
 from follow.operator.terminal import result
 from follow.recording.recorder import FILES
 from follow.safety.limits import Limits
@@ -196,12 +198,28 @@ def test_the_settings_flown_with_are_recorded_and_fly_the_same_again(capfd, brie
     flown = read_settings(tmp_path / "a/settings.toml")
     assert (flown.servo.standoff_m, flown.limits.speed_m_s) == (20.0, 3.0)
     assert flown.target.size_m == SCENARIOS[brief].size_m
-    assert flown.limits.half_view_rad == pytest.approx(SCENARIOS[brief].fov_rad / 2)
     words = ("sim", brief, "--settings", tmp_path / "a/settings.toml", "--out", tmp_path / "b")
     assert follow(capfd, *words)[0] == 0
     for name in ("settings.toml", "ticks.csv"):
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
     assert not (tmp_path / "b/flight.rrd").exists()
+
+
+def test_a_recorded_file_flown_with_another_lens_and_delay_pins_nothing_that_follows_from_them(capfd, brief, tmp_path):
+    """What was derived is told but was not chosen: the gate's view cone and delay are those of the new camera."""
+    first, other = tmp_path / "first/settings.toml", tmp_path / "other/settings.toml"
+    words = ("sim", brief, "--record.no-pictures", "--out")
+    assert follow(capfd, *words, first.parent)[0] == 0
+    told = tomllib.loads(first.read_text())["derived"]
+    assert set(told) == {"camera", "limits"}
+    assert told["limits"]["half_view_rad"] == pytest.approx(SCENARIOS[brief].fov_rad / 2)
+    camera = ("--camera.fov-deg", "120", "--camera.delay-s", "0.2", "--autopilot", "ardupilot")
+    assert follow(capfd, *words, other.parent, "--settings", first, *camera)[0] == 0
+    told = tomllib.loads(other.read_text())["derived"]
+    mount = SCENARIOS[brief].camera_settings(Autopilot.ARDUPILOT)
+    assert told["limits"]["half_view_rad"] == pytest.approx(math.radians(60))
+    assert told["limits"]["latency_s"] == 0.2
+    assert told["camera"]["down_deg"] == pytest.approx(math.degrees(mount.down_rad))
 
 
 def test_what_a_person_chose_stands_above_what_the_scenario_suggests(capfd, brief, tmp_path):
