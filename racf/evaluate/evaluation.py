@@ -77,9 +77,9 @@ def evaluate(
     *,
     benchmark: str = "folder",
     trackers: Any = None,
-    settings: Collection[str] = (),
-    imports: Collection[str] = (),
-    only: Collection[str] = (),
+    settings: str | Collection[str] = (),
+    imports: str | Collection[str] = (),
+    only: str | Collection[str] = (),
     jitter: int = 0,
     table: int | None = None,
     sweep: studies.Sweep | None = None,
@@ -99,7 +99,7 @@ def evaluate(
     root, benchmark: folder and its layout: folder, uav123, uav123@10fps, dtb70, uavdt or visdrone2018.
     trackers: names (racf, racf-, racf--, bacf, arcf-hc and settings; OpenCV's csrt, kcf, mil, nano, vit; module:Class),
         classes of your own (see `racf.evaluate.own`), or a mapping of labels to these; racf unless boxes are imported.
-    settings: key=value for all trackers that are named.
+    settings: key=value for all trackers that are named; this, imports and only are one text or several.
     imports: stored boxes to compare with: NAME=DIR, DIR for all trackers in it, or the `out` folder of an evaluation.
     only: patterns of the sequences to use, by name or benchmark/name.
     jitter: start each sequence this many times more, from slightly wrong first boxes.
@@ -113,15 +113,19 @@ def evaluate(
     sweep, folder, root = sweep or studies.Sweep(), Path(out) if out else None, Path(root)
     _check(table, images, out, jitter, jobs, given=bool(trackers or imports))
     usual = () if imports else ("racf",) if table is None else studies.trackers_of(table, sweep)
-    builders = _builders(trackers or usual, settings)
-    sequences = _sequences(root, benchmark, only, need_frames=images > 0)
-    stored = import_boxes(imports, sequences, [b.label for b in builders], notify)
+    builders = _builders(trackers or usual, _texts(settings))
+    sequences = _sequences(root, benchmark, _texts(only), need_frames=images > 0)
+    stored = import_boxes(_texts(imports), sequences, [b.label for b in builders], notify)
     runs = _run(builders, sequences, jitter, jobs=jobs, folder=folder, dask=dask, progress=progress)
     evaluation = _judge(root, sequences, runs, stored, table, sweep)
     if folder is not None:
         written = [*evaluation.write(folder, images), *studies.draw(table, evaluation.report, sweep, folder)]
         notify(f"report.json, tables.md and {len(written) - 2} figures are in {folder}")
     return evaluation
+
+
+def _texts(given: str | Collection[str]) -> Collection[str]:
+    return (given,) if isinstance(given, str) else given
 
 
 def select(root: Path, only: Iterable[str], sequences: list[Sequence]) -> list[Sequence]:

@@ -37,7 +37,10 @@ def find(folder: Path, task: "Task") -> tuple[Path, dict[str, Any]] | None:
     boxes, note = _places(folder, task)
     if not note.is_file():
         return None
-    known = json.loads(note.read_text())
+    try:
+        known = _noted(note)
+    except ValueError:
+        return None  # a disk that was full or lost power: the task is run again
     return (boxes, known) if known["key"] == task.key() else None
 
 
@@ -51,7 +54,7 @@ def read_outcomes(folder: Path, sequences: Iterable[Sequence]) -> dict[str, Stor
     for place in _trackers(folder):
         notes = list(place.glob("*/*.json"))
         if notes:
-            label = str(json.loads(notes[0].read_text()).get("label", place.name.rpartition("-")[0]))
+            label = str(_noted(notes[0]).get("label", place.name.rpartition("-")[0]))
             newest[label] = max(newest.get(label, (0.0, place)), (max(n.stat().st_mtime for n in notes), place))
     return {label: _read(place, sequences) for label, (_, place) in sorted(newest.items())}
 
@@ -74,11 +77,22 @@ def _read(place: Path, sequences: list[Sequence]) -> Stored:
         if not note.is_file():
             continue
         found.boxes[sequence.name] = _checked(boxes, sequence)
-        found.fps[sequence.name] = float(json.loads(note.read_text())["fps"])
+        found.fps[sequence.name] = float(_noted(note)["fps"])
         starts = sorted(boxes.parent.glob(f"{stem.name}.start*.txt"), key=lambda p: int(p.stem.rpartition(".start")[2]))
         if starts:
             found.jittered[sequence.name] = [_checked(path, sequence) for path in starts]
     return found
+
+
+def _noted(note: Path) -> dict[str, Any]:
+    """What a note says; raises ValueError that names the file."""
+    try:
+        known = json.loads(note.read_text())
+    except ValueError as error:
+        raise ValueError(f"{note} is not the JSON that an evaluation leaves: {error}; delete it") from None
+    if not isinstance(known, dict) or not {"key", "fps"} <= set(known):
+        raise ValueError(f"{note} is not what an evaluation leaves: it needs key and fps; delete it")
+    return known
 
 
 def _checked(path: Path, sequence: Sequence) -> Any:

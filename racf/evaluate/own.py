@@ -51,6 +51,7 @@ class OwnTracker:
         """Its answer to the next image; the last box again if it gives None.  Raises ValueError for any other thing."""
         answer = self._tracker.update(image)
         if isinstance(answer, Track):
+            self._box = answer.box
             return answer
         if answer is None:
             return self._track(found=False)

@@ -94,7 +94,7 @@ def builders_of(trackers: object, settings: Iterable[str] = ()) -> list[TrackerB
     elif isinstance(trackers, str) or callable(trackers):
         given = [(None, trackers)]
     else:
-        given = [(None, what) for what in cast("Iterable[Any]", trackers)]
+        given = [(None, what) for what in (trackers if isinstance(trackers, Iterable) else (trackers,))]
     builders = [_builder(label, what, list(settings)) for label, what in given]
     labels = [builder.label for builder in builders]
     for label in labels:

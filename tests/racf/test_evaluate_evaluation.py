@@ -130,13 +130,14 @@ class Nothing:
         ("tests.racf.test_evaluate_evaluation:Still,speed=3", "cannot be built: .*speed"),
         ("rafc", "'rafc' is not known; known are racf, .*csrt, kcf, mil, nano, vit, and your own as module:Class"),
         (3, "a tracker is a name, a class with init.*, not 3"),
+        ([3], "a tracker is a name, a class with init.*, not 3"),
+        (Still(), "a tracker is a name, a class with init.*, not <"),
         (["racf", "racf"], "each tracker is named once, not racf 2 times"),
     ],
 )
 def test_what_is_no_tracker_is_refused_before_anything_runs(tracker, sentence, data):
-    trackers = tracker if isinstance(tracker, (str, list)) else [tracker]
     with pytest.raises(ValueError, match=sentence):
-        evaluate(data, trackers=trackers, progress=False)
+        evaluate(data, trackers=tracker, progress=False)
 
 
 def test_an_answer_that_is_no_box_is_named(data):
@@ -185,6 +186,40 @@ def test_of_an_evaluation_of_several_trackers_one_is_named(data, tmp_path):
     other = rendered.plain_folder(tmp_path / "other", ("four",), benchmark="Bench")
     with pytest.raises(ValueError, match="has none of the sequences"):
         evaluate(other, imports=[str(tmp_path / "out")])
+
+
+def test_a_broken_note_in_an_imported_evaluation_is_named(data, tmp_path):
+    evaluate(data, trackers=Still, out=tmp_path / "out", progress=False)
+    note = next((tmp_path / "out/runs").rglob("*.json"))
+    note.write_text("")
+    with pytest.raises(ValueError, match=rf"{note} is not the JSON that an evaluation leaves: .*; delete it"):
+        evaluate(data, imports=[str(tmp_path / "out")], progress=False)
+
+
+def test_one_text_is_as_good_as_a_list_of_one(data, tmp_path):
+    evaluation = evaluate(data, trackers=Still, only="two", out=tmp_path / "out", progress=False)
+    assert list(evaluation.boxes["Still"]) == ["two"]
+    imported = evaluate(data, imports=f"Still={tmp_path / 'out'}", only="two", progress=False)
+    assert imported.boxes["Still"]["two"].tolist() == evaluation.boxes["Still"]["two"].tolist()
+    with pytest.raises(ValueError, match="no setting 'nothing'"):
+        evaluate(data, trackers="racf--", settings="nothing=3", progress=False)
+
+
+class Blinking(Still):
+    """Answers with Tracks, and finds nothing in every other frame."""
+
+    def init(self, image, box):
+        self.count = 0
+
+    def update(self, image):
+        self.count += 1
+        box = racf.Box(10 * self.count, 5, 20, 20)
+        return racf.Track(box, box, psr=1.0, apce=1.0, confidence=1.0, found=True) if self.count % 2 else None
+
+
+def test_a_frame_without_an_answer_keeps_the_last_box_that_was_given(data):
+    boxes = evaluate(data, trackers=Blinking, only=["one"], jobs=1, progress=False).boxes["Blinking"]["one"]
+    assert boxes[1:5, 0].tolist() == [11, 11, 31, 31]
 
 
 def test_of_two_results_with_one_label_the_newer_is_imported(data, tmp_path):

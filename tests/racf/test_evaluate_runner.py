@@ -121,11 +121,14 @@ def test_stored_boxes_are_not_taken_for_those_of_other_starts_trackers_or_frames
         assert found == [False]
 
 
-def test_a_broken_note_of_a_half_written_result_is_not_believed(sequences, tmp_path):
+@pytest.mark.parametrize("left", [None, "", '{"key": "', "[]", "{}"])
+def test_a_broken_note_of_a_half_written_result_is_not_believed(sequences, tmp_path, left):
     todo = all_tasks(sequences[:1], jitter=0)
     run_all(todo, folder=tmp_path)
     (note,) = (tmp_path / "runs").rglob("*.json")
     note.unlink()
+    if left is not None:
+        note.write_text(left)
     found = []
     run_all(todo, folder=tmp_path, done=lambda task, run, stored: found.append(stored))
     assert found == [False]
