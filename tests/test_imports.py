@@ -36,15 +36,48 @@ SIM_MAY_IMPORT = {
 WIRING = "follow/cli/"  # the only room that builds both seams
 
 
+OURS = {"racf", "follow", "sim", "tests", "tools", "benchmarks", "examples"}
+
+
 def imports(path: Path) -> set[str]:
     """Dotted modules of this project that a file imports, at any depth of its code."""
+    return imported(path.read_text(), path.relative_to(ROOT).parts[:-1])
+
+
+def imported(text: str, package: tuple[str, ...]) -> set[str]:
+    """The same of a file's text in `package`: statements (relative ones also), and names given to a loader."""
     names = set()
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            names |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
-    return {name for name in names if name.split(".")[0] in {"racf", "follow", "sim", "tests", "tools", "benchmarks"}}
+        elif isinstance(node, ast.ImportFrom):
+            above = package[: len(package) + 1 - node.level] if node.level else ()
+            module = ".".join([*above, *([node.module] if node.module else [])])
+            names |= {module} | {f"{module}.{alias.name}" for alias in node.names}
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).split(".")[-1] in {"import_module", "__import__"}:
+            for argument in node.args[:1]:  # of an f-string the part before its first value
+                first = argument.values[0] if isinstance(argument, ast.JoinedStr) else argument
+                if isinstance(first, ast.Constant):
+                    relative = str(first.value).startswith(".")
+                    names.add(".".join(package) if relative else str(first.value).rstrip("."))
+    return {name for name in names if name.split(".")[0] in OURS}
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "from follow.safety import gate",
+        "from ..safety import gate",
+        "from .. import safety",
+        "def late():\n    import follow.safety.gate as g",
+        "if TYPE_CHECKING:\n    from ..safety.gate import Safety",
+        "importlib.import_module('follow.safety.gate')",
+        "import_module(f'follow.safety.{name}')",
+        "__import__('follow.safety')",
+    ],
+)
+def test_no_way_to_import_is_overlooked(text):
+    assert any(name.startswith("follow.safety") for name in imported(text, ("follow", "control")))
 
 
 def sources(package: str) -> list[str]:
@@ -59,7 +92,11 @@ def test_the_tracker_knows_nothing_of_drones(source):
 @pytest.mark.parametrize("source", sources("follow"))
 def test_the_application_does_not_need_the_simulator(source):
     foreign = () if source.startswith(WIRING) else ("sim",)
-    assert not {name for name in imports(ROOT / source) if name.startswith((*foreign, "tests", "tools", "benchmarks"))}
+    assert not {
+        name
+        for name in imports(ROOT / source)
+        if name.startswith((*foreign, "tests", "tools", "benchmarks", "examples"))
+    }
 
 
 @pytest.mark.parametrize("source", sources("follow"))
