@@ -37,6 +37,7 @@ OBEYED: dict[Autopilot, Table] = {
         "FENCE_RADIUS": 300.0,  # m
         "DISARM_DELAY": 10,  # s
         "BATT_FS_LOW_ACT": 0,  # 0 none, 1 land, 2 return
+        "AVOID_ENABLE": 3,  # bit 0: stops 2 m inside a fence, in GUIDED
         "RC_OVERRIDE_TIME": 3.0,  # s, -1 for ever
     },
 }
@@ -62,7 +63,6 @@ REPORTED: dict[Autopilot, Table] = {
         "FS_THR_ENABLE": 1,
         "FS_EKF_ACTION": 1,
         "BATT_FS_CRT_ACT": 0,
-        "AVOID_ENABLE": 3,
         "ATC_SLEW_YAW": 6000.0,  # cdeg/s
         "SIM_SPEEDUP": 1.0,
         "WP_ACC": 2.5,  # m/s2

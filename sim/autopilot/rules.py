@@ -1,11 +1,13 @@
 """Where PX4 and ArduCopter differ, as measured on PX4 1.16 and ArduCopter 4.7 over MAVLink, 20 setpoints a second."""
 
 import math
+from dataclasses import replace
 from typing import ClassVar
 
+from follow.geometry import ned_to_heading
 from follow.link.flight_modes import STREAM_TIMEOUT_S
 from follow.messages import NEVER, Autopilot, Setpoint
-from sim.autopilot.core import AutopilotCore, AutopilotMode, Command, Guidance, Result
+from sim.autopilot.core import STEP_S, AutopilotCore, AutopilotMode, Command, Guidance, Result
 from sim.dynamics import Vehicle
 
 LOCAL_NED, LOCAL_OFFSET_NED, BODY_NED, BODY_OFFSET_NED = 1, 7, 8, 9
@@ -14,6 +16,10 @@ YAW_RATE_BIT = 1 << 11
 STREAM_SLACK_S = STREAM_TIMEOUT_S[Autopilot.PX4] - 1.0  # PX4 reacts this much later than COM_OF_LOSS_T (default 1.0)
 STREAM_RECENT_S = 0.5  # PX4: OFFBOARD needs setpoints at more than 2 Hz; here one recent setpoint is enough
 STICKS_LAST_S = 0.5  # PX4: COM_RC_LOSS_T's default
+STICK_TIME_S = 0.25  # PX4: a stick that moved is at rest again after about this
+AVOID_MARGIN_M = 2.0  # ArduCopter: FENCE_MARGIN's default; seen to stop this far inside the fence
+AVOID_ACCEL_M_S2 = 1.0  # deceleration towards it, which dead time and jerk leave room for
+AVOID_TIME_S = 1.5  # ... and the time constant of the last metres
 
 
 class Px4Flight(AutopilotCore):
@@ -39,6 +45,7 @@ class Px4Flight(AutopilotCore):
     def __init__(self, vehicle: Vehicle, firmware: str = ""):
         super().__init__(vehicle, firmware)
         self._lost_stream = False  # in the failsafe of a lost stream: OFFBOARD is still the user's intention
+        self._rested = (0.0, 0.0, 0.0, 0.0)  # the sticks, low-passed
 
     def take_setpoint(self, frame: int, mask: int, velocity: tuple[float, float, float], yaw_rate: float) -> None:
         """Frames 1 and 8 only: a setpoint in another frame is ignored."""
@@ -95,17 +102,24 @@ class Px4Flight(AutopilotCore):
             self.enter({1: "HOLD", 2: "RTL"}.get(action, "LAND"))
 
     def _sticks_take_over(self) -> bool:
-        """Up to 1.17 COM_RC_OVERRIDE allows it in OFFBOARD (bit 1) and automatic modes (bit 0), since then the sign of
-        MAN_OVERRIDE_SPD in both.
+        """Whether a stick moves, as PX4 takes over by movement and not by deflection.
+
+        Up to 1.17 COM_RC_STICK_OV is how far it must move and COM_RC_OVERRIDE in which modes that counts: automatic
+        (bit 0), OFFBOARD (bit 1).  From 1.18 MAN_OVERRIDE_SPD is how fast, and counts in both unless it is negative.
         """
-        deflection = max(map(abs, self.sticks)) if self.sticks else 0.0
+        sticks = self.sticks or (0.0, 0.0, 0.0, 0.0)
+        keep = math.exp(-STEP_S / STICK_TIME_S)
+        self._rested = tuple(keep * old + (1.0 - keep) * now for old, now in zip(self._rested, sticks, strict=True))
+        moved = max(abs(now - rested) for now, rested in zip(sticks, self._rested, strict=True))
         if "MAN_OVERRIDE_SPD" in self.parameters:
-            allowed, threshold = (3 if self.parameters["MAN_OVERRIDE_SPD"] >= 0.0 else 0), 30.0
-        else:
-            allowed, threshold = int(self.parameters["COM_RC_OVERRIDE"]), self.parameters["COM_RC_STICK_OV"]
-        offboard = self.mode == "OFFBOARD" and allowed & 2
-        auto = self.modes[self.mode].number == 4 and allowed & 1
-        return 100.0 * deflection > threshold and bool(offboard or auto)
+            least = float(self.parameters["MAN_OVERRIDE_SPD"])
+            return least >= 0.0 and moved / (2.0 * STICK_TIME_S) > least and self._may_take_over(3)
+        least = float(self.parameters["COM_RC_STICK_OV"]) / 100.0
+        return moved > least and self._may_take_over(int(self.parameters["COM_RC_OVERRIDE"]))
+
+    def _may_take_over(self, where: int) -> bool:
+        auto = self.modes[self.mode].number == 4
+        return bool(self.mode == "OFFBOARD" and where & 2) or bool(auto and where & 1)
 
     @property
     def charge_state(self) -> int:
@@ -189,7 +203,26 @@ class ArduCopterFlight(AutopilotCore):
         return Result.ACCEPTED
 
     def _guide_velocity(self) -> Setpoint:
-        return self._guide_climb() if self._climbing else super()._guide_velocity()
+        return self._guide_climb() if self._climbing else self._avoiding(super()._guide_velocity())
+
+    def _avoiding(self, setpoint: Setpoint) -> Setpoint:
+        """AVOID_ENABLE (bit 0: fences) stops GUIDED 2 m inside a circle fence; the vehicle slides along the fence."""
+        avoids = int(self.parameters["AVOID_ENABLE"]) & 1 and self.parameters["FENCE_ENABLE"]
+        motion = self.vehicle.motion
+        out = motion.north_m - self.home[0], motion.east_m - self.home[1]
+        distance = math.hypot(*out)
+        if not avoids or not int(self.parameters["FENCE_TYPE"]) & 2 or distance == 0.0:
+            return setpoint
+        room = float(self.parameters["FENCE_RADIUS"]) - AVOID_MARGIN_M - distance
+        fastest = math.sqrt(2.0 * AVOID_ACCEL_M_S2 * room) if room > 0.0 else 0.0
+        fastest = min(fastest, max(room, 0.0) / AVOID_TIME_S)
+        forward, right = ned_to_heading(out[0] / distance, out[1] / distance, motion.yaw_rad)
+        excess = max(setpoint.forward_m_s * forward + setpoint.right_m_s * right - fastest, 0.0)
+        return replace(
+            setpoint,
+            forward_m_s=setpoint.forward_m_s - excess * forward,
+            right_m_s=setpoint.right_m_s - excess * right,
+        )
 
     def _climbed(self) -> None:
         """It stays in GUIDED and keeps its position."""

@@ -261,8 +261,8 @@ def test_sticks_break_offboard_only_with_bit_1_of_com_rc_override(override, mode
     [
         (PX4, {"GF_MAX_HOR_DIST": 10.0}, "HOLD"),
         (PX4, {"GF_MAX_HOR_DIST": 10.0, "GF_ACTION": 3}, "RTL"),
-        (ARDUPILOT, {"FENCE_ENABLE": 1, "FENCE_RADIUS": 10.0}, "RTL"),
-        (ARDUPILOT, {"FENCE_ENABLE": 1, "FENCE_RADIUS": 10.0, "FENCE_ACTION": 4}, "BRAKE"),
+        (ARDUPILOT, {"AVOID_ENABLE": 0, "FENCE_ENABLE": 1, "FENCE_RADIUS": 10.0}, "RTL"),
+        (ARDUPILOT, {"AVOID_ENABLE": 0, "FENCE_ENABLE": 1, "FENCE_RADIUS": 10.0, "FENCE_ACTION": 4}, "BRAKE"),
     ],
 )
 def test_a_fence_takes_the_vehicle_over_and_is_told_as_crossed(autopilot, fence, mode):
@@ -286,3 +286,43 @@ def test_a_low_battery_takes_the_vehicle_over_when_it_is_set_to(autopilot, name)
         bench.flight.battery = 0.05
         bench.stream(0.5)
         assert (bench.flight.mode != CONTROL[autopilot]) is taken
+
+
+@pytest.mark.parametrize("speed_m_s", [2.0, 6.0])
+def test_ardupilot_by_default_stops_two_metres_inside_a_fence_in_guided_and_slides_along_it(speed_m_s):
+    bench = Bench(ARDUPILOT, FENCE_ENABLE=1, FENCE_RADIUS=30.0).under_control()
+    bench.stream(25.0, x=speed_m_s)
+    motion = bench.flight.vehicle.motion
+    assert bench.flight.mode == "GUIDED"
+    assert motion.north_m == pytest.approx(28.0, abs=0.5)
+    assert math.hypot(*bench.body_velocity()) < 0.1
+    bench.stream(4.0, x=2.0, y=2.0)
+    assert bench.body_velocity()[1] > 1.0
+    assert math.hypot(bench.flight.vehicle.motion.north_m, bench.flight.vehicle.motion.east_m) < 29.0
+    assert bench.flight.mode == "GUIDED"
+
+
+@pytest.mark.parametrize(
+    ("firmware", "parameters", "taken"),
+    [
+        ("1.16", {"COM_RC_OVERRIDE": 3}, True),
+        ("1.16", {"COM_RC_OVERRIDE": 1}, False),
+        ("1.18", {}, True),
+        ("1.18", {"MAN_OVERRIDE_SPD": -1.0}, False),
+        ("1.18", {"MAN_OVERRIDE_SPD": 3.0}, False),
+    ],
+)
+def test_px4s_sticks_take_over_when_they_move_and_not_while_they_rest_anywhere(firmware, parameters, taken):
+    bench = Bench(PX4, firmware=firmware, **parameters)
+    bench.flight.sticks = (0.0, 0.0, 1.0, 0.0)  # the throttle rests at its lower end
+    bench.wait(2.0)
+    bench.under_control()
+    bench.stream(1.0)
+    assert bench.flight.mode == "OFFBOARD"
+    bench.flight.sticks = (0.7, 0.0, 1.0, 0.0)
+    bench.stream(0.3)
+    assert bench.flight.mode == ("POSCTL" if taken else "OFFBOARD")
+    bench.stream(2.0)
+    bench.mode("OFFBOARD")
+    bench.stream(1.0)
+    assert bench.flight.mode == "OFFBOARD", "held still, it takes over nothing"

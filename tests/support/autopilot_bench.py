@@ -18,9 +18,9 @@ FULL = 0x05C7
 class Bench:
     """A raw MAVLink peer of a vehicle that hovers 10 m high; no code of ours on its side."""
 
-    def __init__(self, autopilot: Autopilot, height_m: float = 10.0, **parameters: float):
+    def __init__(self, autopilot: Autopilot, height_m: float = 10.0, firmware: str = "", **parameters: float):
         vehicle = Vehicle(autopilot, VehicleTruth(down_m=-height_m))
-        self.system = AutopilotSystem(autopilot, vehicle)
+        self.system = AutopilotSystem(autopilot, vehicle, firmware=firmware)
         self.flight = self.system.flight
         self.flight.parameters.update(parameters)
         self.autopilot = autopilot
