@@ -1,5 +1,6 @@
 """An estimate for recorded footage, whose camera does not move with the simulated vehicle."""
 
+import math
 from dataclasses import replace
 
 from follow.control.target import Target
@@ -7,15 +8,20 @@ from follow.messages import Estimate, VehicleState
 from racf.box import Box
 from racf.track import Track
 
+ANY_SIZE = 2.0
+"""Relative deviation of a size of which nothing is known: within a factor of seven it is as likely as not."""
+
 
 class FootageTarget:
     """A Target for footage.  The motion of the camera that filmed it is unknown, so the tracker gets no prior.
 
     With `moves_view` the view is a window over the footage that turns with the vehicle.  Without it each image is read
-    from the vehicle's first pose, because the simulated flight does not change what the footage shows.
+    from the vehicle's first pose, because the simulated flight does not change what the footage shows.  The height of
+    that vehicle is made up, so it fits a target of any size.
     """
 
     def __init__(self, target: Target, *, moves_view: bool) -> None:
+        target.config = replace(target.config, size_relative_std=ANY_SIZE)
         self._target = target
         self._moves_view = moves_view
         self._begin: VehicleState | None = None
@@ -30,4 +36,5 @@ class FootageTarget:
         if not self._moves_view:
             times = {"t_s": state.t_s, "attitude_t_s": state.attitude_t_s, "position_t_s": state.position_t_s}
             state = replace(self._begin, **times)
-        return self._target.update(track, state, t_s)
+        estimate = self._target.update(track, state, t_s)
+        return replace(estimate, contradiction="", range_near_m=math.inf)

@@ -4,6 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from follow.control.footage import FootageTarget
 from follow.control.joint_filter import Motion, predicted
 from follow.control.pose_history import PoseHistory
 from follow.control.target import Target, TargetConfig
@@ -319,3 +320,13 @@ def test_a_sharp_response_is_believed_although_it_was_far_sharper_before():
         psr = 40.0 if i < 40 else 15.0
         estimate = target.update(replace(seen(box_of((12.0, 0.0), state)), psr=psr), state, i * DT)
     assert estimate.seen_t_s == pytest.approx(59 * DT)
+
+
+@pytest.mark.parametrize(("size", "place"), [(0.4, (12.0, 0.0)), (6.0, (30.0, 0.0))])
+def test_footage_may_show_a_target_of_any_size(size, place):
+    target = FootageTarget(Target(CAMERA, DOWN), moves_view=False)
+    for i in range(60):
+        state = hovering(i * DT)
+        estimate = target.update(seen(box_of(place, state, size)), state, i * DT)
+    assert not estimate.contradiction
+    assert estimate.range_m == pytest.approx(place[0], rel=0.1)

@@ -1,10 +1,13 @@
 """Is the estimate's covariance honest?  Its normalised error squared over hills and flat ground, flown in closed loop.
 
     python -m tools.studies.nees --out docs/nees.png
+    python -m tools.studies.nees --drawn 20 --out docs/nees_drawn.png
 
 NEES is e' P^-1 e of the target's (north, east, v_north, v_east, ground) (Bar-Shalom et al., 2001, §5.4).  Of one flight
 it is averaged over time, and of a group of flights over flights: if the covariance is honest, the mean of N independent
 flights at one time lies in the band chi2(5 N) / N for 95 %.  Boxes err as RACF's do (tests/support/ground_flight.py).
+With --drawn, everything that the filter assumes is drawn as it assumes it: size, ground, gradient, the target's
+accelerations and the errors of boxes.  Then NEES must lie in the band; with boxes as good as RACF's it lies below.
 """
 
 import argparse
@@ -17,9 +20,10 @@ import numpy as np
 from scipy.stats import chi2
 
 from follow.control.joint_filter import VE, VN, E, N, height_row, with_size
+from follow.control.target import TargetConfig
 from follow.messages import Autopilot
 from racf.parallel import each
-from tests.support.ground_flight import GroundFlight, hill, walk
+from tests.support.ground_flight import BoxErrors, GroundFlight, hill, walk
 
 SLOPES = (0.0, 0.03, 0.05, 0.08, 0.10, 0.20, -0.03, -0.05, -0.08, -0.10, -0.20)
 SPEEDS_M_S = (1.4, 3.0)
@@ -29,10 +33,48 @@ FROM_S = 6.0  # the estimate is judged from here on
 Flight = tuple[str, float, float, int]
 
 
+def drawn(seed: int) -> GroundFlight:
+    """A flight in a world drawn from the filter's own assumptions; the target ends within a walk of 30 s."""
+    random, c, seconds = np.random.default_rng([seed, 5]), TargetConfig(), 30.0
+    m, dt = c.motion, 0.1
+    steps = round(seconds / dt) + 2
+    state, gradient, down = np.array([12.0, 0.0, 0.0, 0.0]), random.normal(0, m.slope_std, 2), random.normal(0, 1.0)
+    down *= math.hypot(c.ground.start_std_m, c.ground.slope_std * 12.0)
+    rows = [(*state[:2], down)]
+    for _ in range(steps):
+        density = m.accel_psd + m.turn_psd * float(state[2:] @ state[2:])
+        state[2:] += random.normal(0, math.sqrt(density * dt), 2)
+        step = state[2:] * dt
+        state[:2] += step
+        down += float(gradient @ step)
+        kept = math.exp(-float(np.linalg.norm(step)) / m.slope_length_m)
+        gradient = kept * gradient + math.sqrt(1 - kept**2) * random.normal(0, m.slope_std, 2)
+        rows.append((*state[:2], down))
+    places = np.array(rows)
+
+    def at(t_s: float, column: int) -> float:
+        return float(np.interp(t_s, dt * np.arange(len(places)), places[:, column]))
+
+    size = math.exp(random.normal(math.log(c.size_m), c.size_relative_std))
+    errors = BoxErrors(c.bearing_std_rad, m.angle_bias_std_rad, c.box_relative_std, m.size_bias_std, m.bias_s)
+    flown = GroundFlight(
+        lambda t_s: (at(t_s, 0), at(t_s, 1)),
+        end_s=seconds,
+        seed=seed,
+        size_m=(size / math.sqrt(3), size * math.sqrt(3)),
+        errors=errors,
+    )
+    flown.ground = lambda _north, _east: at(flown.now_s, 2)
+    return flown
+
+
 def nees(flight: Flight) -> tuple[Flight, np.ndarray, dict[str, float]]:
     """Fly once: times and NEES (T, 2), and what else came of the flight."""
     rules, speed, slope, seed = flight
-    flown = GroundFlight(walk(speed), hill(slope), Autopilot(rules), end_s=4.0 + WAY_M / speed, seed=seed)
+    if speed:
+        flown = GroundFlight(walk(speed), hill(slope), Autopilot(rules), end_s=4.0 + WAY_M / speed, seed=seed)
+    else:
+        flown = drawn(seed)
     rows: list[tuple[float, float]] = []
     flown.watch = lambda: rows.append((flown.now_s, error_squared(flown)))
     flown.fly()
@@ -63,7 +105,7 @@ def error_squared(flown: GroundFlight) -> float:
 def draw(flights: Sequence[tuple[Flight, np.ndarray, dict[str, float]]], path: Path) -> None:
     """Mean NEES over the seeds against slope, and over time, with the 95 % bands."""
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4))
-    for speed in SPEEDS_M_S:
+    for speed in sorted({f[1] for f, _, _ in flights}):
         of = [(f[2], rows[:, 1].mean()) for f, rows, _ in flights if f[1] == speed]
         slopes = sorted({slope for slope, _ in of})
         left.plot(
@@ -98,8 +140,9 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("nees.png"), help="where the plot goes")
     parser.add_argument("--seeds", type=int, default=2, help="flights of each kind")
     parser.add_argument("--autopilot", choices=[a.value for a in Autopilot], action="append", help="one or both")
+    parser.add_argument("--drawn", type=int, default=0, help="this many flights in drawn worlds instead of hills")
     chosen = parser.parse_args()
-    kinds = [
+    kinds = [("px4", 0.0, 0.0, seed) for seed in range(chosen.drawn)] or [
         (rules, speed, slope, seed)
         for rules in chosen.autopilot or [a.value for a in Autopilot]
         for speed in SPEEDS_M_S
