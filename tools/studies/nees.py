@@ -30,6 +30,7 @@ SPEEDS_M_S = (1.4, 3.0)
 WAY_M = 115.0
 STATES = 5
 FROM_S = 6.0  # the estimate is judged from here on
+SEEN_S = 0.5  # ... while the target was seen within this time
 Flight = tuple[str, float, float, int]
 
 
@@ -86,7 +87,7 @@ def nees(flight: Flight) -> tuple[Flight, np.ndarray, dict[str, float]]:
 def error_squared(flown: GroundFlight) -> float:
     """e' P^-1 e of the filter now."""
     target, m = flown.estimator, flown.link.vehicle.motion
-    if target.filter is None:
+    if target.filter is None or m.t_s - target.seen_t_s > SEEN_S:
         return math.nan
     f = target.carried(m.t_s)
     here, velocity = np.array([m.north_m, m.east_m, m.down_m]), np.array([m.north_m_s, m.east_m_s])
@@ -106,7 +107,7 @@ def draw(flights: Sequence[tuple[Flight, np.ndarray, dict[str, float]]], path: P
     """Mean NEES over the seeds against slope, and over time, with the 95 % bands."""
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4))
     for speed in sorted({f[1] for f, _, _ in flights}):
-        of = [(f[2], rows[:, 1].mean()) for f, rows, _ in flights if f[1] == speed]
+        of = [(f[2], np.nanmean(rows[:, 1])) for f, rows, _ in flights if f[1] == speed]
         slopes = sorted({slope for slope, _ in of})
         left.plot(
             [100 * s for s in slopes],
@@ -124,7 +125,7 @@ def draw(flights: Sequence[tuple[Flight, np.ndarray, dict[str, float]]], path: P
     shortest = min(len(rows) for _, rows, _ in flights)
     right.plot(
         flights[0][1][:shortest, 0],
-        np.mean([rows[:shortest, 1] for _, rows, _ in flights], axis=0),
+        np.nanmean([rows[:shortest, 1] for _, rows, _ in flights], axis=0),
         label="all flights",
     )
     right.set_xlabel("time, s")
