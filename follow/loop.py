@@ -15,6 +15,7 @@ from follow.messages import (
     Decision,
     Estimate,
     Frame,
+    ImageMotion,
     Instruction,
     Order,
     Reason,
@@ -41,7 +42,9 @@ class TargetEstimator(Protocol):
         """The box where the target should appear in the image taken at `t_s`; None: at its last box."""
         ...
 
-    def update(self, track: Track | None, state: VehicleState, t_s: float) -> Estimate:
+    def update(
+        self, track: Track | None, state: VehicleState, t_s: float, motion: ImageMotion | None = None
+    ) -> Estimate:
         """Update with the track of the frame of `t_s` (None: no new frame); returns the estimate at `state.t_s`."""
         ...
 
@@ -64,7 +67,7 @@ class SetpointGate(Protocol):
         state: VehicleState,
         frame_t_s: float,
         instruction: Instruction = NO_INSTRUCTION,
-        contradiction: str = "",
+        motion: ImageMotion | None = None,
     ) -> Decision:
         """Limit the desired setpoint at `state.t_s`; `frame_t_s` is when the newest frame was taken."""
         ...
@@ -74,11 +77,11 @@ class SetpointGate(Protocol):
         ...
 
 
-class WorldWatch(Protocol):
-    """Compares the image with the vehicle's motion; `follow.safety.consistency.ImageWatch` is one."""
+class ImageMeter(Protocol):
+    """Measures the image's motion; `follow.control.image_motion.ImageMotionMeter` is one."""
 
-    def update(self, frame: Frame | None, track: Track | None, state: VehicleState) -> str:
-        """Say in words how the image contradicts the vehicle's motion; empty when it does not."""
+    def update(self, frame: Frame | None, track: Track | None, state: VehicleState) -> ImageMotion | None:
+        """Take in a round; the newest measurement of the background's motion, or None."""
         ...
 
 
@@ -90,7 +93,7 @@ def follow(
     servo: Controller,
     safety: SetpointGate,
     operator: Callable[[], Instruction] = lambda: NO_INSTRUCTION,
-    watch: WorldWatch | None = None,
+    meter: ImageMeter | None = None,
 ) -> Iterator[Tick]:
     """Keep the target in view until the frames end, yielding one Tick a round."""
     frame_t_s = NEVER
@@ -102,10 +105,10 @@ def follow(
             frame_t_s = frame.t_s
             track = tracker.update(frame.image, target.predict(state, frame.t_s))
         clock.append(perf_counter())
-        estimate = target.update(track, state, frame_t_s)
+        motion = meter.update(frame, track, state) if meter is not None else None
+        estimate = target.update(track, state, frame_t_s, motion)
         desired = servo.update(estimate, state)
-        contradiction = watch.update(frame, track, state) if watch is not None else ""
-        decision = safety.allow(desired, estimate, state, frame_t_s, operator(), contradiction)
+        decision = safety.allow(desired, estimate, state, frame_t_s, operator(), motion)
         clock.append(perf_counter())
         link.send(decision.setpoint)
         clock.append(perf_counter())

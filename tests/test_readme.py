@@ -11,6 +11,7 @@ import pytest
 from follow.cli.layers import read
 from follow.cli.program import main
 from follow.control.acquire import Acquire
+from follow.control.image_motion import ImageMotionMeter
 from follow.control.servo import Servo
 from follow.control.target import Target
 from follow.messages import Autopilot, Order, Tick
@@ -86,7 +87,7 @@ def test_the_footage_commands_of_the_readme_run(words, tmp_path, monkeypatch, ca
 
 def test_the_loop_of_the_readme_flies():
     (loop,) = blocks("python")
-    assert len(loop.splitlines()) == 8
+    assert len(loop.splitlines()) == 9
     camera, link, _ = build(replace(SCENARIOS["walker"], duration_s=0.5), 0, Autopilot.PX4)
     box = camera.first()[1]
     tracker = Racf()
@@ -98,6 +99,7 @@ def test_the_loop_of_the_readme_flies():
         "link": link,
         "tracker": Acquire(tracker.init, tracker.update, box),
         "target": Target(camera.settings.intrinsics, camera.settings.down_rad),
+        "meter": ImageMotionMeter(camera.settings.intrinsics, camera.settings.down_rad),
         "servo": Servo(camera.settings.down_rad),
         "safety": safety,
         "record": ticks.append,

@@ -20,7 +20,6 @@ from follow.operator.terminal import Terminal
 from follow.recording.recorder import Recorder
 from follow.recording.scoring import Annotations, FootageScore
 from follow.recording.summary import Figures
-from follow.safety.consistency import ImageWatch
 from follow.safety.gate import Safety
 from racf.box import Box
 from racf.commandline import UsageError
@@ -57,9 +56,9 @@ def replay(command: ReplayCommand) -> None:
         servo = Servo(config.camera.down_rad, config.servo)
         tracker, safety = acquire(command.tracker, box), Safety(config.limits)
         # Without the window the footage does not answer to the vehicle: there is nothing to compare.
-        watch = ImageWatch(ImageMotionMeter(lens, config.camera.down_rad)) if ptz is not None else None
+        meter = ImageMotionMeter(lens, config.camera.down_rad) if ptz is not None else None
         with link:
-            ticks = follow(camera, link, tracker, target, servo, safety, once(Order.FOLLOW), watch)
+            ticks = follow(camera, link, tracker, target, servo, safety, once(Order.FOLLOW), meter)
             ticks = terminal.progress(ticks, footage.rounds, "replay")
             finished = fly(ticks, recorder, terminal, score.add)
         if line := score.shortfall():

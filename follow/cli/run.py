@@ -34,7 +34,6 @@ from follow.operator.authority import Operator
 from follow.operator.terminal import Terminal
 from follow.recording.recorder import Recorder, set_aside
 from follow.recording.summary import Figures
-from follow.safety.consistency import ImageWatch
 from follow.safety.gate import Safety
 from racf.box import Box
 from racf.commandline import UsageError
@@ -206,9 +205,9 @@ def fly_prepared(
     if command.aim:
         operator.aim = lambda: (tracker.restart(), target.forget())
     servo, safety = Servo(seen.down_rad, seen.config.servo), Safety(seen.config.limits)
-    watch = ImageWatch(ImageMotionMeter(seen.lens, seen.down_rad))
+    meter = ImageMotionMeter(seen.lens, seen.down_rad)
     with seen.camera as camera:
-        parts = Parts(camera, link, tracker, target, servo, safety, watch)
+        parts = Parts(camera, link, tracker, target, servo, safety, meter)
         fly(parts, operator, lambda tick: recorder.tick(tick, seen.truth(tick)), command.seconds)
 
 

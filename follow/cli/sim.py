@@ -19,7 +19,6 @@ from follow.messages import Autopilot, Order, Tick
 from follow.operator.terminal import Terminal, result, table
 from follow.recording.recorder import Recorder
 from follow.recording.summary import Figures
-from follow.safety.consistency import ImageWatch
 from follow.safety.gate import Safety
 from racf.box import Box
 from racf.commandline import UsageError
@@ -59,7 +58,7 @@ def simulate(flight: FlightSpec, terminal: Terminal, *, bar: bool) -> tuple[Figu
     lens, down_rad = believed.intrinsics, believed.down_rad
     config = resolve(config, lens, down_rad, believed.latency_s)
     target, servo = Target(lens, down_rad, config.target), Servo(down_rad, config.servo)
-    safety, watch = Safety(config.limits), ImageWatch(ImageMotionMeter(lens, down_rad))
+    safety, meter = Safety(config.limits), ImageMotionMeter(lens, down_rad)
     about = f"# follow sim {flight.scenario}\n\n{scenario.about}; seed {flight.seed}, {flight.autopilot.value}"
     rows: list[ScoredTick] = []
     strip = Strip(scenario.duration_s)
@@ -76,7 +75,7 @@ def simulate(flight: FlightSpec, terminal: Terminal, *, bar: bool) -> tuple[Figu
             return truth.box
 
         with link:
-            ticks = follow(camera, link, tracker, target, servo, safety, once(Order.FOLLOW), watch)
+            ticks = follow(camera, link, tracker, target, servo, safety, once(Order.FOLLOW), meter)
             rounds = round(scenario.duration_s * max(scenario.frames_per_s, 30))
             finished = fly(
                 terminal.progress(ticks, rounds, flight.name) if bar else ticks, recorder, terminal, true_box

@@ -4,7 +4,7 @@ import math
 from dataclasses import replace
 
 from follow.control.target import Target
-from follow.messages import Estimate, VehicleState
+from follow.messages import Estimate, ImageMotion, VehicleState
 from racf.box import Box
 from racf.track import Track
 
@@ -30,8 +30,13 @@ class FootageTarget:
         """Return None: the tracker searches around its last position."""
         return None
 
-    def update(self, track: Track | None, state: VehicleState, t_s: float) -> Estimate:
-        """Return the estimate, seen from the vehicle's pose (`moves_view`) or from its first pose."""
+    def update(
+        self, track: Track | None, state: VehicleState, t_s: float, motion: ImageMotion | None = None
+    ) -> Estimate:
+        """Return the estimate, seen from the vehicle's pose (`moves_view`) or from its first pose.
+
+        `motion` says nothing here: the footage's camera has no height above the ground that the vehicle knows of.
+        """
         self._begin = self._begin or state
         if not self._moves_view:
             times = {"t_s": state.t_s, "attitude_t_s": state.attitude_t_s, "position_t_s": state.position_t_s}

@@ -38,6 +38,7 @@ class Source(str, Enum):
     START = "the start's height"
     RANGEFINDER = "the rangefinder"
     TERRAIN = "the terrain map"
+    PARALLAX = "the ground's motion in the image"
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,11 +103,21 @@ def grounded(f: JointFilter, camera_ned: Array, velocity: Array, word: GroundWor
     return replace(scaled(f, camera_ned, velocity, change), size_var=(1 - gain) * f.size_var)
 
 
+@dataclass(frozen=True, slots=True)
+class Parallax:
+    """Where the ground around the target's feet lies by its motion in the image: NED down and its deviation, metres."""
+
+    t_s: float
+    down_m: float
+    std_m: float
+
+
 @dataclass(slots=True)
 class GroundSources:
     """Compares the sources; remembers how well each was once believed, and which contradicts the size."""
 
     believed: dict[Source, float] = field(default_factory=dict[Source, float])
+    parallax: Parallax | None = None
     contradiction: str = ""
     near_ratio: float = 1.0  # of the range by the nearer source to the estimate's, while they contradict each other
 
@@ -120,7 +131,10 @@ class GroundSources:
         here, velocity = pose.position_ned, np.array([pose.north_m_s, pose.east_m_s])
         size_m, size_std, aspect = size
         self.contradiction, self.near_ratio = "", 1.0
-        for source, ground_down_m, std_m in ground_words(f, here, state, c):
+        words = ground_words(f, here, state, c)
+        if self.parallax is not None and 0 <= state.t_s - self.parallax.t_s <= FRESH_S:
+            words.insert(0, (Source.PARALLAX, self.parallax.down_m, self.parallax.std_m))
+        for source, ground_down_m, std_m in words:
             word = ground_word(f, here, aspect, ground_down_m, std_m)
             if max(word.by_size_m, word.height_m) < LOW_M:
                 continue

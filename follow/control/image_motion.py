@@ -25,6 +25,7 @@ from follow.control.pose_history import Pose, PoseHistory
 from follow.geometry import Array, Intrinsics, camera_to_ned, project, rays
 from follow.messages import Frame, ImageMotion, VehicleState
 from racf.box import Box
+from racf.track import Track
 
 Masks = NDArray[np.bool_]
 
@@ -77,11 +78,14 @@ class ImageMotionMeter:
     _last: tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.bool_]] | None = None
     _waiting: deque[CornerTracks] = field(default_factory=lambda: deque[CornerTracks](maxlen=8))
 
-    def update(self, frame: Frame | None, box: Box | None, state: VehicleState) -> ImageMotion | None:
-        """Take in a round; the measurement of the oldest interval whose poses are known, or None."""
+    def update(self, frame: Frame | None, track: Track | None, state: VehicleState) -> ImageMotion | None:
+        """Take in a round; the measurement of the oldest interval whose poses are known, or None.
+
+        A box counts only where the tracker says that it found the target.
+        """
         self.poses.add(state)
         if frame is not None:
-            self._track(frame, box)
+            self._track(frame, track.box if track is not None and track.found else None)
         if self._waiting:
             first = self._waiting[0]
             if state.attitude_t_s >= first.to_t_s or state.t_s - first.to_t_s > WAIT_S:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from follow.control.ground import GroundSources, GroundTrust
+from follow.control.ground import GroundSources, GroundTrust, Parallax
 from follow.control.joint_filter import (
     JointFilter,
     Motion,
@@ -25,7 +25,7 @@ from follow.control.joint_filter import (
 )
 from follow.control.pose_history import Pose, PoseHistory
 from follow.geometry import Array, Intrinsics, camera_to_ned, project, rays, undistort, wrap
-from follow.messages import NEVER, Estimate, VehicleState
+from follow.messages import NEVER, Estimate, ImageMotion, VehicleState
 from follow.ranges import require_numbers
 from racf.box import Box
 from racf.track import Track
@@ -133,9 +133,17 @@ class Target:
         scale = height / self.box.h
         return Box.around(float(pixels[0, 0]), float(pixels[0, 1]), self.box.w * scale, self.box.h * scale)
 
-    def update(self, track: Track | None, state: VehicleState, t_s: float) -> Estimate:
-        """Take in the track of the frame of `t_s` (None: no new frame); the estimate is for `state.t_s`."""
+    def update(
+        self, track: Track | None, state: VehicleState, t_s: float, motion: ImageMotion | None = None
+    ) -> Estimate:
+        """Take in the track of the frame of `t_s` (None: no new frame); the estimate is for `state.t_s`.
+
+        `motion` is the newest measurement of the background: its parallax tells where the ground is.
+        """
         self.observe(state)
+        if motion is not None and math.isfinite(motion.height_std_m):
+            down_m = self.motion.at(motion.from_t_s).down_m + motion.height_m
+            self.sources.parallax = Parallax(motion.t_s, down_m, motion.height_std_m)
         if track is not None:
             self.waiting.append((t_s, track))
         while self.waiting and self.readable(self.waiting[0][0], state):

@@ -20,7 +20,7 @@ from follow.flight.service import Service
 from follow.flight.vehicle_checks import check_sending, check_signing, check_simulator, check_vehicle
 from follow.link import Link
 from follow.link.connection import MavlinkLink
-from follow.loop import BoxTracker, Controller, SetpointGate, TargetEstimator, WorldWatch, follow
+from follow.loop import BoxTracker, Controller, ImageMeter, SetpointGate, TargetEstimator, follow
 from follow.messages import HOVER, Cause, Estimate, Mode, Notify, Order, Reason, Release, Tick
 from follow.operator.authority import Keys, Operator, signals
 
@@ -78,7 +78,7 @@ class Parts:
     target: TargetEstimator
     servo: Controller
     safety: SetpointGate
-    watch: WorldWatch | None = None
+    meter: ImageMeter | None = None
 
 
 def wait_a_round() -> None:
@@ -99,7 +99,7 @@ def fly(
     """
     p, service = parts, Service()
     camera = NewPictures(p.camera)
-    loop = follow(camera, p.link, p.tracker, p.target, p.servo, p.safety, operator, p.watch)
+    loop = follow(camera, p.link, p.tracker, p.target, p.servo, p.safety, operator, p.meter)
     began_t_s: float | None = None
     why = "an error"
     with signals(operator), Keys() as keys:

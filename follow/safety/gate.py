@@ -13,6 +13,7 @@ from follow.messages import (
     Cause,
     Decision,
     Estimate,
+    ImageMotion,
     Instruction,
     Mode,
     Order,
@@ -22,6 +23,7 @@ from follow.messages import (
 )
 from follow.safety.authority import Authority, Facts, judged
 from follow.safety.checks import PLAUSIBLE, Hindrance, hindrances, must_stop, stale, unseen
+from follow.safety.consistency import Consistency
 from follow.safety.distance import UNKNOWN, Sighting, Worst, distance_m, limit_closing_speed, limit_descent, worst
 from follow.safety.envelope import Surroundings, limit_altitude, limit_velocity
 from follow.safety.limits import Limits
@@ -226,6 +228,7 @@ class Safety:
 
     limits: Limits = field(default_factory=Limits)
     gate: Gate = field(default_factory=Gate)
+    consistency: Consistency = field(default_factory=Consistency)
     ordered: Instruction | None = None
 
     def allow(
@@ -235,11 +238,12 @@ class Safety:
         state: VehicleState,
         frame_t_s: float,
         instruction: Instruction = NO_INSTRUCTION,
-        contradiction: str = "",
+        motion: ImageMotion | None = None,
     ) -> Decision:
         """Limit the desired setpoint at `state.t_s`; `frame_t_s` is when the newest frame was taken."""
         if self.ordered is not None and instruction.order is None:
             instruction, self.ordered = replace(self.ordered, forbids=instruction.forbids), None
+        contradiction = self.consistency.update(motion, state.t_s)
         args = desired, estimate, state, frame_t_s, self.limits, instruction, contradiction
         self.gate, decision = decide(self.gate, *args)
         return decision

@@ -11,6 +11,7 @@ from follow.geometry import Intrinsics, camera_to_ned, ground_points
 from follow.messages import Frame, ImageMotion, VehicleState
 from follow.safety.consistency import Consistency, box_gain, whole_gain
 from racf.box import Box
+from racf.track import Track
 
 LENS = Intrinsics.from_fov(320, 180, math.radians(80.0))
 DOWN_RAD = math.radians(30.0)
@@ -56,7 +57,8 @@ def flown(motion, seconds=1.2, see=image_of, box=None, **meter):
         t_s = n / FPS
         s = state(t_s, **motion(t_s))
         at = box(t_s) if box else None
-        if (one := measure.update(Frame(see(s), t_s, n), at, s)) is not None:
+        track = Track(at, at, 20.0, 1.0, 1.0) if at else None
+        if (one := measure.update(Frame(see(s), t_s, n), track, s)) is not None:
             found.append(one)
     return found
 

@@ -31,7 +31,7 @@ class Pieces:
     rounds: list[Frame | None]
     said: list[object] = field(default_factory=list)
     instructions: list[Instruction] = field(default_factory=list)
-    contradictions: list[str] = field(default_factory=list)
+    motions: list[object] = field(default_factory=list)
     t_s: float = 0.0
 
     def frames(self):
@@ -50,10 +50,10 @@ class Pieces:
     def order(self, order, reason=None):
         self.said.append(order)
 
-    def allow(self, desired, estimate, state, frame_t_s, instruction=NO_INSTRUCTION, contradiction=""):
+    def allow(self, desired, estimate, state, frame_t_s, instruction=NO_INSTRUCTION, motion=None):
         self.said.append(("allow", frame_t_s))
         self.instructions.append(instruction)
-        self.contradictions.append(contradiction)
+        self.motions.append(motion)
         return Decision(desired, Mode.FOLLOW)
 
 
@@ -65,7 +65,7 @@ class Tracker:
 class Target:
     predict = Pieces.predict
 
-    def update(self, track, state, t_s):
+    def update(self, track, state, t_s, motion=None):
         return Estimate(state.t_s, 0.0, 0.0, 1.0, 1.0, seen_t_s=t_s if track else NEVER)
 
 
@@ -106,11 +106,17 @@ def test_the_gate_hears_the_operators_instruction_of_the_same_round():
     assert pieces.instructions == instructions
 
 
-def test_the_gate_hears_what_contradicts_the_image_in_the_same_round():
-    class Watch:
+def test_target_and_gate_are_given_the_images_motion_of_the_same_round():
+    class Meter:
         def update(self, frame, track, state):
-            return "frozen" if frame is None else ""
+            return "moved" if frame is None else None
 
-    pieces = Pieces([Frame(PICTURE, 0.0, 0), None])
-    list(follow(pieces, pieces, Tracker(), Target(), Servo(), pieces, watch=Watch()))
-    assert pieces.contradictions == ["", "frozen"]
+    pieces, given = Pieces([Frame(PICTURE, 0.0, 0), None]), []
+
+    class Listening(Target):
+        def update(self, track, state, t_s, motion=None):
+            given.append(motion)
+            return super().update(track, state, t_s, motion)
+
+    list(follow(pieces, pieces, Tracker(), Listening(), Servo(), pieces, meter=Meter()))
+    assert pieces.motions == given == [None, "moved"]

@@ -10,7 +10,6 @@ from follow.control.target import Target
 from follow.flight.session import once
 from follow.loop import follow
 from follow.messages import Autopilot, Mode, Order
-from follow.safety.consistency import ImageWatch
 from follow.safety.gate import Safety
 from sim.scenarios import SCENARIOS, build
 from tools.studies.consistency import FaultyCamera, TrueBoxes
@@ -27,9 +26,9 @@ def test_a_frozen_image_brakes_within_a_second_and_a_sound_one_never(fault, auto
     lens, down_rad = scene.settings.intrinsics, scene.settings.down_rad
     camera = FaultyCamera(scene, fault, FREEZE_S)
     tracker = TrueBoxes(camera)
-    watch = ImageWatch(ImageMotionMeter(lens, down_rad))
+    meter = ImageMotionMeter(lens, down_rad)
     parts = tracker, Target(lens, down_rad), Servo(down_rad), Safety()
-    modes = [(t.state.t_s, t.decision.mode, t) for t in follow(camera, link, *parts, once(Order.FOLLOW), watch)]
+    modes = [(t.state.t_s, t.decision.mode, t) for t in follow(camera, link, *parts, once(Order.FOLLOW), meter)]
     braked = [t_s for t_s, mode, _ in modes if mode is Mode.BRAKE]
     if fault == "none":
         assert not braked

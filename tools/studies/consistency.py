@@ -23,7 +23,7 @@ from follow.flight.session import once
 from follow.geometry import Intrinsics
 from follow.loop import follow
 from follow.messages import Autopilot, Frame, Order
-from follow.safety.consistency import LONG_S, SHORT_S, ImageWatch, box_gain, turn_gain, whole_gain
+from follow.safety.consistency import LONG_S, SHORT_S, box_gain, turn_gain, whole_gain
 from follow.safety.gate import Safety
 from racf.parallel import each
 from racf.track import Track
@@ -117,23 +117,23 @@ def fly(job: tuple[str, str, float]) -> Flown:
     config = resolve(Config(), lens, down_rad, late_s)
     limits = replace(config.limits, **scenario.limits)
     camera = FaultyCamera(scene, fault)
-    watch = ImageWatch(ImageMotionMeter(lens, down_rad))
+    meter = ImageMotionMeter(lens, down_rad)
     target = replace(config.target, size_m=scenario.size_m)
     servo = replace(config.servo, standoff_m=scenario.standoff_m)
     parts = TrueBoxes(camera), Target(lens, down_rad, target), Servo(down_rad, servo), Safety(limits)
     gains: list[list[float]] = []
     alarm_s, words, at, braking_m, end = math.nan, "", (0.0, 0.0), math.nan, ""
     with link:
-        for tick in follow(camera, link, *parts, once(Order.FOLLOW), watch):
-            motions, s = watch.consistency.motions, tick.state
+        for tick in follow(camera, link, *parts, once(Order.FOLLOW), meter):
+            motions, s = parts[3].consistency.motions, tick.state
             if motions and (not gains or motions[-1].t_s != gains[-1][-1]):
                 t_s = motions[-1].t_s
                 short = [m for m in motions if t_s - m.from_t_s <= SHORT_S + 1e-6]
                 long = [m for m in motions if t_s - m.from_t_s <= LONG_S + 1e-6]
                 found = (whole_gain(short), turn_gain(long), box_gain(long))
                 gains.append([math.nan if g is None else g.value for g in found] + [t_s])
-            if watch.consistency.words and math.isnan(alarm_s):
-                alarm_s, words, at = s.t_s, watch.consistency.words, (s.north_m, s.east_m)
+            if parts[3].consistency.words and math.isnan(alarm_s):
+                alarm_s, words, at = s.t_s, parts[3].consistency.words, (s.north_m, s.east_m)
             if not math.isnan(alarm_s):
                 braking_m = math.hypot(s.north_m - at[0], s.east_m - at[1])
             end = tick.decision.mode.value
@@ -149,7 +149,7 @@ def percentiles(values: np.ndarray) -> str:
 
 def draw(flights: list[Flown], path: Path) -> None:
     """The distributions of the three gains, a row for each fault."""
-    from matplotlib.figure import Figure  # noqa: PLC0415 - only where a plot is asked for
+    from matplotlib.figure import Figure  # noqa: PLC0415 - only a plot needs it
 
     figure = Figure(figsize=(9, 6), layout="constrained")
     for axes, (column, name) in zip(figure.subplots(1, 3, sharey=True), enumerate(NAMES), strict=True):
