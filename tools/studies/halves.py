@@ -240,7 +240,10 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)))
     parser.add_argument("--dask", help="address of a running Dask scheduler")
     args = parser.parse_args()
-    sequences = read_halves(args.data)
+    try:
+        sequences = read_halves(args.data)
+    except (OSError, ValueError) as error:
+        parser.error(str(error))
     asked = args.tracker or [
         *PRESENTED, *(label for family in FAMILIES.values() for label in (family.default, *family.others)),
     ]  # fmt: skip
