@@ -115,6 +115,8 @@ class MavlinkClient:
                 self.packets.address = self.vehicle_id, COMPANION
                 if was_unknown:
                     self.peer.admits(source, t_s, signed=self._signed)
+            if self._vehicle.watch.is_contested(t_s) and self._is_due("contested", t_s, 10.0):
+                log.warning("two senders use system %s: its remote control is ignored", self.vehicle_id)
             if isinstance(message, dialect.MAVLink_command_ack_message):
                 self._hear_answer(message)
             elif isinstance(message, dialect.MAVLink_statustext_message):

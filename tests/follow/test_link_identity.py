@@ -132,7 +132,7 @@ def test_one_forged_datagram_does_not_move_our_packets_and_forged_channels_are_n
     assert state.contested_t_s == 0.0, "and it is noticed"
 
 
-def test_while_two_senders_use_the_vehicles_id_its_remote_control_is_not_believed():
+def test_while_two_senders_use_the_vehicles_id_its_remote_control_is_not_believed(caplog):
     """c18: the forger is on the same line, where no address tells it from the vehicle."""
     pair = Pair(Autopilot.PX4)
     pair.run(5.0)
@@ -150,6 +150,7 @@ def test_while_two_senders_use_the_vehicles_id_its_remote_control_is_not_believe
         pair.run(0.02)
         seen.append(pair.client.heard.rc_channels[6])
     assert 2000 not in seen
+    assert [record.message for record in caplog.records] == ["two senders use system 1: its remote control is ignored"]
     assert pair.t_s - pair.state.contested_t_s < 0.5
 
 
