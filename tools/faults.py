@@ -20,6 +20,7 @@ os.environ["MAVLINK20"] = "1"
 from follow.messages import Autopilot  # noqa: E402
 from tests.support.fault_processes import PROCESS_ROWS, ProcessRow  # noqa: E402
 from tests.support.fault_rows import ROWS  # noqa: E402
+from tests.support.fault_rows_people import AUTHORITY_ROWS, DISTANCE_ROWS  # noqa: E402
 from tests.support.machine import STOLEN, LateError, awake, processor_ticks, stolen  # noqa: E402
 
 ATTEMPTS = 6  # at a flight that the host made late
@@ -44,7 +45,7 @@ addressed to itself. Our clock is the monotonic one, which no operating system s
 
 def rows(only: str, processes: bool) -> Iterator[tuple[str, tuple[str, ...]]]:
     """Fly, and yield each line of the table with its failures."""
-    for row in ROWS:
+    for row in (*ROWS, *AUTHORITY_ROWS, *DISTANCE_ROWS):
         for autopilot in Autopilot if only in row.name else ():
             flown = row.fly(autopilot)
             e = row.expect

@@ -132,12 +132,14 @@ def order_verdict(now: Authority, facts: Facts, limits: Limits) -> tuple[bool, R
     if not 0.0 <= t_s - order.t_s <= limits.order_timeout_s:
         missing = findings[0].what if findings else "it could not be carried out"
         return False, Reason(Cause.ORDER_VOID, f"{missing}, for {limits.order_timeout_s:g} s")
-    if not findings:
-        return True, None
     if hard := [finding for finding in findings if not finding.passing]:
         return False, Reason(Cause.ORDER_REFUSED, hard[0].what)
-    until = f"{order.by}; waits {limits.order_timeout_s:g} s for: {findings[0].what}"
-    return False, Reason(Cause.ORDER_WAITS, until)
+    if findings:
+        until = f"{order.by}; waits {limits.order_timeout_s:g} s for: {findings[0].what}"
+        return False, Reason(Cause.ORDER_WAITS, until)
+    # The mode that is known may be a second old: somebody may have sent the vehicle home meanwhile.
+    is_news = facts.state.heartbeat_t_s >= order.t_s
+    return is_news, None if is_news else Reason(Cause.ORDER_WAITS, f"{order.by}; waits for a newer heartbeat")
 
 
 def events(now: Authority, facts: Facts, granted: bool, limits: Limits) -> list[Found]:

@@ -138,6 +138,10 @@ def decide(
     notes = old if desired.is_finite() else (*old, "the desired setpoint is not finite")
     if authority.mode in STREAMING and gate.mode not in STREAMING:
         gate, dt = start_ramps(gate, target, state, limits), 0.0
+    elif authority.mode is not gate.mode and authority.reason.cause is Cause.NOT_OBEYING and is_fresh:
+        gate = start_ramps(
+            gate, target, state, limits
+        )  # what the vehicle does not fly must not come as a surprise later
     gate = replace(gate, authority=authority, t_s=t_s)
     if authority.mode not in STREAMING:
         return gate, Decision(None, authority.mode, notes, authority.reason, authority.release)

@@ -8,8 +8,10 @@ import pytest
 from follow.messages import Autopilot
 from tests.support.fault_processes import PROCESS_ROWS, ProcessRow
 from tests.support.fault_rows import ROWS, Row
+from tests.support.fault_rows_people import AUTHORITY_ROWS, DISTANCE_ROWS
 
-PAIRS = [(row, a) for row, a in zip((r for r in ROWS if r.fast), itertools.cycle(Autopilot), strict=False)]
+ALL = (*ROWS, *AUTHORITY_ROWS, *DISTANCE_ROWS)
+PAIRS = [(row, a) for row, a in zip((r for r in ALL if r.fast), itertools.cycle(Autopilot), strict=False)]
 
 
 @pytest.mark.parametrize(("row", "autopilot"), PAIRS, ids=[f"{row.name}, {a.value}" for row, a in PAIRS])

@@ -88,12 +88,12 @@ def goes_on(off_m: float) -> Expectation:
     )
 
 
-def falls_silent(within_s: float, modes: tuple[str, ...] = ()) -> Expectation:
-    """Somebody else has the vehicle: no more setpoints and no mode requests."""
+def falls_silent(within_s: float, modes: tuple[str, ...] = (), asked: int = 0) -> Expectation:
+    """Somebody else has the vehicle: no more setpoints, and of mode requests only the `asked` ones for our own mode."""
 
     def judge(o: Outcome, autopilot: Autopilot) -> list[str]:
         wrong = [] if o.silent_s <= within_s else [f"sent until {o.silent_s:.2f} s"]
-        if o.modes_asked:
+        if o.modes_asked != asked:
             wrong.append(f"{o.modes_asked} modes were requested")
         if modes and o.vehicle_mode not in modes:
             wrong.append(f"the vehicle ended in {o.vehicle_mode}")
@@ -101,6 +101,18 @@ def falls_silent(within_s: float, modes: tuple[str, ...] = ()) -> Expectation:
 
     must = "ends the stream for good, requests nothing"
     return Expectation(must, f"last setpoint within {within_s:g} s", judge, silence)
+
+
+def never_streams() -> Expectation:
+    """Not one setpoint, not one mode request."""
+
+    def judge(o: Outcome, autopilot: Autopilot) -> list[str]:
+        wrong = [f"sent until {o.silent_s:.2f} s"] if o.silent_s > -1e9 else []
+        return wrong + ([f"{o.modes_asked} modes were requested"] if o.modes_asked else [])
+
+    return Expectation(
+        "nothing is sent or requested", "no setpoint", judge, lambda o: "silent" if o.silent_s < 0 else silence(o)
+    )
 
 
 def pilot_has_it(within_s: float) -> Expectation:

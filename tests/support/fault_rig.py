@@ -65,6 +65,11 @@ class Rig:
     end_t_s: float = FAULT_S + 15.0
     limits: Limits = field(default_factory=Limits)
     walk_m_s: float = WALK_M_S
+    path: Callable[[float], tuple[float, float]] | None = None  # of the target: time -> north, east
+    servo: ServoConfig = field(default_factory=ServoConfig)
+    down_rad: float = DOWN_RAD
+    height_m: float = HEIGHT_M
+    at_once: bool = True
     t_s: float = 0.0
     jump_s: float = 0.0  # of the application's clock
     to_client: Way = unspoilt
@@ -79,11 +84,11 @@ class Rig:
     chance: random.Random = field(default_factory=lambda: random.Random(0))
 
     def __post_init__(self) -> None:
-        start = VehicleTruth(down_m=-HEIGHT_M)
+        start = VehicleTruth(down_m=-self.height_m)
         self.system = AutopilotSystem(self.autopilot, Vehicle(self.autopilot, start))
         self.system.flight.parameters.update(PARAMETERS[self.autopilot])
         self.client = MavlinkClient()
-        self.operator = Operator(self.lines.append, at_once=True, heard=self.client.heard)
+        self.operator = Operator(self.lines.append, at_once=self.at_once, heard=self.client.heard)
         self.setpoints = 0
         self.modes_asked = 0
         self.last_setpoint_t_s = -math.inf
@@ -102,6 +107,8 @@ class Rig:
 
     def target_place(self, t_s: float) -> tuple[float, float]:
         """North and east: it stands for 6 s, then runs away on a slight bend."""
+        if self.path is not None:
+            return self.path(t_s)
         path_m = self.walk_m_s * max(t_s - 6.0, 0.0)
         radius = 60.0
         return 10.0 + radius * math.sin(path_m / radius), radius * (1 - math.cos(path_m / radius))
@@ -109,7 +116,7 @@ class Rig:
     def true_box(self) -> Box | None:
         m = self.motion
         north, east = self.target_place(self.t_s)
-        rotation = camera_to_ned(DOWN_RAD, m.roll_rad, m.pitch_rad, m.yaw_rad)
+        rotation = camera_to_ned(self.down_rad, m.roll_rad, m.pitch_rad, m.yaw_rad)
         middle = [[north, east, -SIZE_M[1] / 2]]
         pixels, depth = project(LENS, rotation, (m.north_m, m.east_m, m.down_m), middle)
         x, y = pixels[0]
@@ -183,10 +190,9 @@ class Rig:
 
     def fly(self) -> "Rig":
         """The whole flight, and at least two seconds beyond it as the link's own leaving has them."""
-        config = ServoConfig()
-        servo = Wishing(Servo(DOWN_RAD, config), self)
+        servo = Wishing(Servo(self.down_rad, self.servo), self)
         limits = replace(self.limits, half_view_rad=LENS.horizontal_fov_rad / 2)
-        self.parts = Parts(self, self, self, Target(LENS, DOWN_RAD), servo, Safety(limits))
+        self.parts = Parts(self, self, self, Target(LENS, self.down_rad), servo, Safety(limits))
         self.advance(2.0)
         try:
             fly(self.parts, self.operator, self.ticks.append, pause=self.advance)
@@ -227,6 +233,14 @@ class Outcome:
     lowest_m: float
     highest_m: float
     farthest_m: float  # from the place of the start
+    nearest_m: float  # to the target's body
+
+
+def to_body_m(rig: Rig, sample: Sample) -> float:
+    """The true distance from the vehicle to the target's body, a vertical line from its feet to its head."""
+    north, east = rig.target_place(sample.t_s)
+    above = max(-sample.motion.down_m - SIZE_M[1], 0.0)
+    return math.hypot(north - sample.motion.north_m, east - sample.motion.east_m, above)
 
 
 def outcome(rig: Rig) -> Outcome:
@@ -250,9 +264,10 @@ def outcome(rig: Rig) -> Outcome:
         vehicle_mode=after[-1].mode,
         modes_asked=after[-1].modes_asked - after[0].modes_asked,
         setpoints_at_end=end.setpoints > after[max(after.index(end) - 30, 0)].setpoints,
-        off_m=abs(to_target_m - ServoConfig().standoff_m),
+        off_m=abs(to_target_m - rig.servo.standoff_m),
         fastest_m_s=max(speeds),
         lowest_m=min(-s.motion.down_m for s in after),
         highest_m=max(-s.motion.down_m for s in after),
+        nearest_m=min(to_body_m(rig, s) for s in after),
         farthest_m=max(math.hypot(s.motion.north_m, s.motion.east_m) for s in rig.samples),
     )

@@ -38,12 +38,13 @@ class Row:
     expect: Expectation
     rig: dict[str, object] = field(default_factory=dict)
     fast: bool = False
+    follows: bool = True  # before the fault
 
     def fly(self, autopilot: Autopilot) -> "Result":
         """Fly it once and judge."""
         rig = Rig(autopilot, self.inject, **self.rig).fly()  # type: ignore[arg-type] - rows are data
         seen = outcome(rig)
-        wrong = [] if seen.followed else ["it did not follow before the fault"]
+        wrong = [] if seen.followed is self.follows else [f"it followed before the fault: {seen.followed}"]
         return Result(self, autopilot, seen, tuple(wrong + self.expect.judge(seen, autopilot)), tuple(rig.lines))
 
 

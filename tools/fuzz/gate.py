@@ -125,6 +125,7 @@ def main() -> int:
             before = gate
             gate, decision = decide(gate, desired, estimate, state, frame_t_s, LIMITS, instruction)
             begins = before.mode in (Mode.OBSERVE, Mode.READY, Mode.ENDED)
+            begins |= decision.reason.cause is Cause.NOT_OBEYING and before.mode is not gate.mode
             if broken := breach(before, gate, decision, state, begins):
                 print(f"round {done}: {broken}\n{before}\n{desired}\n{estimate}\n{state}\n{decision}", file=sys.stderr)
                 return 1

@@ -1,0 +1,225 @@
+"""Rows of the fault matrix about people: who orders and who flies, and who comes near.  See docs/hazards.md."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from pymavlink.dialects.v20 import common as dialect
+
+from follow.control.servo import ServoConfig, ServoMode
+from follow.messages import Autopilot, Order
+from sim.autopilot.core import Result
+from tests.support.fault_expectations import (
+    Expectation,
+    falls_silent,
+    lost_link,
+    never_streams,
+    pilot_has_it,
+    stops,
+)
+from tests.support.fault_rig import Rig, Way
+from tests.support.fault_rows import Row, deaf, lose, number
+
+EXTENDED_SYS_STATE, BATTERY_STATUS, SYS_STATUS = 245, 147, 1
+PILOTS_MODE = {Autopilot.PX4: "POSCTL", Autopilot.ARDUPILOT: "LOITER"}
+BY_HAND = {"at_once": False, "path": lambda _t_s: (12.0, 0.0), "end_t_s": 27.0}
+
+
+def order_in(mode: str) -> Callable[[Rig], None]:
+    """The vehicle is in a mode that is not the pilot's; FOLLOW is ordered three times."""
+
+    def inject(rig: Rig) -> None:
+        rig.system.flight.enter(mode)
+        for _ in range(3):  # before the mode is known: PX4 reports it up to a second late
+            rig.operator.order(Order.FOLLOW, "key f")
+
+    return inject
+
+
+def order_and_leave(rig: Rig) -> None:
+    """FOLLOW is ordered while the target is not seen; the pilot changes the mode, and the target appears again."""
+    rig.track = lambda track: replace(track, found=rig.t_s > rig.fault_t_s + 3.0)
+    done: list[str] = []
+
+    def way(packets: list[bytes]) -> list[bytes]:
+        if rig.t_s > rig.fault_t_s + 1.0 and not done:
+            done.append("order")
+            rig.operator.order(Order.FOLLOW, "key f")
+        if rig.t_s > rig.fault_t_s + 2.0 and len(done) == 1:
+            done.append("mode")
+            rig.system.flight.enter("POSCTL" if rig.autopilot is Autopilot.PX4 else "POSHOLD")
+        return packets
+
+    rig.to_client = way
+
+
+def refuse(rig: Rig) -> None:
+    """The autopilot refuses our mode; two seconds later the operator orders OBSERVE."""
+    ask = rig.system.flight.ask_mode
+    control = (6, 0) if rig.autopilot is Autopilot.PX4 else (4, 0)
+
+    def refused(mode: int, sub: int) -> list[Result]:
+        return [Result.TEMPORARILY_REJECTED] if (mode, sub) == control else ask(mode, sub)
+
+    rig.system.flight.ask_mode = refused  # type: ignore[method-assign]
+    rig.operator.order(Order.FOLLOW, "key f")
+    began_t_s, given = rig.t_s, list[float]()
+
+    def way(packets: list[bytes]) -> list[bytes]:
+        if rig.t_s > began_t_s + 4.0 and not given:
+            given.append(rig.t_s)
+            rig.operator.order(Order.OBSERVE, "key o")
+        return packets
+
+    rig.to_client = way
+
+
+def pilot_and_switch(rig: Rig) -> None:
+    """The pilot takes over by his mode and, 0.3 s later, also switches FOLLOW off."""
+    rig.system.flight.enter(PILOTS_MODE[rig.autopilot])
+    taken_t_s, given = rig.t_s, list[float]()
+
+    def way(packets: list[bytes]) -> list[bytes]:
+        if rig.t_s > taken_t_s + 0.3 and not given:
+            given.append(rig.t_s)
+            rig.operator.order(Order.OBSERVE, "the switch")
+        return packets
+
+    rig.to_client = way
+
+
+def stick_with_orders_waiting(rig: Rig) -> None:
+    """FOLLOW was typed five times by mistake when the pilot moves a stick."""
+    for _ in range(5):
+        rig.operator.order(Order.FOLLOW, "key f")
+
+    def way(packets: list[bytes]) -> list[bytes]:
+        rig.system.flight.sticks = (0.0, 0.8 if rig.t_s > rig.fault_t_s + 1.0 else 0.0, 0.0, 0.0)
+        return packets
+
+    rig.to_client = way
+
+
+def uplink_lost_for(seconds: float) -> Callable[[Rig], None]:
+    """Nothing that we send arrives; telemetry does."""
+
+    def inject(rig: Rig) -> None:
+        rig.to_autopilot = lambda packets: packets if rig.t_s > rig.fault_t_s + seconds else []
+
+    return inject
+
+
+def spoken(make: Callable[[Rig], dialect.MAVLink_message]) -> Callable[[Rig], Way]:
+    """A way that adds a message of the vehicle's autopilot to each batch."""
+
+    def way(rig: Rig) -> Way:
+        mav = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
+        return lambda packets: [*packets, make(rig).pack(mav)] if packets else packets
+
+    return way
+
+
+def low_battery_warns(rig: Rig) -> None:
+    """The autopilot calls its battery low and does nothing."""
+    low = dialect.MAVLink_battery_status_message(
+        0, 0, 0, 0, [0] * 10, -1, -1, -1, 20, charge_state=dialect.MAV_BATTERY_CHARGE_STATE_LOW
+    )
+    keep = spoken(lambda _rig: low)(rig)
+    rig.to_client = lambda packets: keep([p for p in packets if number(p) != BATTERY_STATUS])
+
+
+def remote_lost(rig: Rig) -> None:
+    """The autopilot knows a remote control and reports it unhealthy after 2 s, and does nothing."""
+    rc = dialect.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
+
+    def status(_rig: Rig) -> dialect.MAVLink_message:
+        healthy = rc if rig.t_s < rig.fault_t_s + 2.0 else 0
+        return dialect.MAVLink_sys_status_message(rc, rc, healthy, 100, 12000, 100, 80, 0, 0, 0, 0, 0, 0)
+
+    keep = spoken(status)(rig)
+    rig.to_client = lambda packets: keep([p for p in packets if number(p) != SYS_STATUS])
+
+
+def same_id(rig: Rig) -> None:
+    """A second vehicle with the same system id, elsewhere."""
+    mav = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
+
+    def way(packets: list[bytes]) -> list[bytes]:
+        ms = round((rig.t_s + 317.0) * 1e3)
+        place = dialect.MAVLink_local_position_ned_message(ms, 60.0, 20.0, -30.0, 0.0, 0.0, 0.0)
+        return [*packets, place.pack(mav)]
+
+    rig.to_client = way
+
+
+def toward(speed_m_s: float) -> dict[str, object]:
+    """The target stands for 8 s, then comes straight at the vehicle and past it."""
+    end = 15.0 + 24.0 / speed_m_s + 3.0
+    return {"path": lambda t_s: (12.0 - speed_m_s * max(t_s - 15.0, 0.0), 0.0), "end_t_s": end}
+
+
+def hides(speed_m_s: float) -> dict[str, object]:
+    """The target runs away, vanishes behind a wall at 22 s and stands there."""
+    path = lambda t_s: (12.0 + speed_m_s * max(min(t_s, 22.0) - 6.0, 0.0), 0.0)  # noqa: E731
+    return {"path": path, "fault_t_s": 22.0, "end_t_s": 37.0}
+
+
+def keeps(distance_m: float) -> Expectation:
+    """The true distance to the body, whatever the mode."""
+
+    def judge(o, _autopilot) -> list[str]:
+        return [] if o.nearest_m >= distance_m else [f"{o.nearest_m:.2f} m from the body"]
+
+    return Expectation(
+        "keeps its distance", f"never nearer than {distance_m:g} m", judge, lambda o: f"{o.nearest_m:.1f} m"
+    )
+
+
+def nothing(_rig: Rig) -> None:
+    """No fault: what the target does is what the row tests."""
+
+
+AUTHORITY_ROWS = (
+    *(
+        Row(f"FOLLOW ordered in {mode}", order_in(mode), never_streams(), BY_HAND, mode == "RTL", follows=False)
+        for mode in ("RTL", "LAND")
+    ),
+    Row("FOLLOW ordered, then the pilot changes the mode", order_and_leave, never_streams(), BY_HAND, follows=False),
+    Row("our mode refused, then OBSERVE ordered", refuse, falls_silent(4.0, asked=1), BY_HAND, True, follows=False),
+    Row(
+        "landed state unknown",
+        deaf(EXTENDED_SYS_STATE),
+        never_streams(),
+        {"fault_t_s": 0.01, "end_t_s": 12.0},
+        True,
+        follows=False,
+    ),
+    Row("FOLLOW ordered below the floor", nothing, never_streams(), {"height_m": 1.5, "end_t_s": 22.0}, follows=False),
+    Row("pilot's mode, then the switch off", pilot_and_switch, falls_silent(1.2, ("POSCTL", "LOITER")), fast=True),
+    Row("pilot's stick with orders waiting", stick_with_orders_waiting, pilot_has_it(2.4)),
+    Row("uplink alone lost for 5 s", uplink_lost_for(5.0), lost_link(7.0, 12.0), fast=True),
+    Row("battery low, the autopilot only warns", low_battery_warns, stops(5.0, 7.0), fast=True),
+    Row("remote control lost, the autopilot does nothing", remote_lost, stops(7.0, 13.0)),
+    Row("two vehicles with the same id", same_id, stops(5.0, 7.0)),
+)
+
+DISTANCE_ROWS = (
+    *(
+        Row(f"target comes at {speed:g} m/s", nothing, keeps(least), toward(speed), speed == 6.0)
+        for speed, least in ((1.4, 4.0), (3.0, 4.0), (6.0, 3.0))
+    ),
+    # It settles 0.9 m above the head; of the 2 s the estimate takes 0.6, and 2 m/s of climb and the retreat have the rest.
+    Row("target comes at 6 m/s, camera 11 degrees down", nothing, keeps(2.5), {**toward(6.0), "down_rad": 0.2}),
+    *(
+        Row(
+            f"target comes at 3 m/s, servo {mode.value}",
+            nothing,
+            keeps(4.0),
+            {**toward(3.0), "servo": ServoConfig(mode=mode)},
+        )
+        for mode in (ServoMode.CENTRE, ServoMode.ORBIT, ServoMode.PROFILE)
+    ),
+    *(
+        Row(f"target hides at {speed:g} m/s and stands there", lose, keeps(0.5), hides(speed))
+        for speed in (3.0, 5.0, 7.0)
+    ),
+)
