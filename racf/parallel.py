@@ -1,10 +1,11 @@
-"""Many independent jobs, each in one of several processes."""
+"""Many independent jobs, each in one of several processes here or on a Dask cluster."""
 
+import importlib
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import active_children, get_context
-from typing import TypeVar
+from typing import Any, TypeVar
 
 JobT = TypeVar("JobT")
 AnswerT = TypeVar("AnswerT")
@@ -14,14 +15,20 @@ ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_TH
 
 
 def each(
-    work: Callable[[JobT], AnswerT], jobs: Sequence[JobT], processes: int | None = None
+    work: Callable[[JobT], AnswerT], jobs: Sequence[JobT], processes: int | None = None, dask: str | None = None
 ) -> Iterator[tuple[JobT, AnswerT]]:
     """Each job with its answer, in the order they finish; by default one process for each core.
+
+    `dask` is the address of a scheduler to run on instead; its workers need the same version of the program.  Raises
+    ValueError without Dask, OSError if the scheduler does not answer.
 
     The first error cancels the jobs that have not begun.  An interruption, or a caller who stops iterating, also ends
     those that have.
     """
     if not jobs:
+        return
+    if dask is not None:
+        yield from _on_dask(work, jobs, dask)
         return
     os.environ.update(ONE_THREAD)
     others = active_children()
@@ -38,3 +45,17 @@ def each(
             raise
         finally:
             pool.shutdown(cancel_futures=True)
+
+
+def _on_dask(work: Callable[[JobT], AnswerT], jobs: Sequence[JobT], address: str) -> Iterator[tuple[JobT, AnswerT]]:
+    try:
+        distributed: Any = importlib.import_module("distributed")  # an extra
+    except ImportError:
+        raise ValueError("Dask needs the extra: pip install 'follow-me[dask]'") from None
+    with distributed.Client(address) as client:
+        waiting = {client.submit(work, job, pure=False): job for job in jobs}
+        try:
+            for future in distributed.as_completed(list(waiting)):
+                yield waiting[future], future.result()
+        finally:
+            client.cancel(list(waiting))

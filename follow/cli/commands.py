@@ -68,6 +68,9 @@ class SimCommand:
     """Fly every scenario, in parallel, and print a table."""
     seeds: int = 5
     """Number of seeds for each scenario with --all, counting from --seed."""
+    dask: str | None = None
+    """With --all: address of the scheduler of a Dask cluster to fly on (needs the extra `dask`). The files of a flight
+    stay on its worker's disk."""
     list: bool = False
     """Print the names of the scenarios and end."""
     tracker: str = TRACKER
@@ -88,6 +91,8 @@ class SimCommand:
             raise ValueError(f"--seed is 0 or more, not {self.seed}")
         if self.seeds < 1:
             raise ValueError(f"--seeds is 1 or more, not {self.seeds}")
+        if self.dask is not None and not self.all:
+            raise ValueError("--dask needs --all: a single flight runs here")
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from follow.camera.video import LiveVideo, is_live, open_replay
 from follow.cli.commands import RunCommand, box_of
 from follow.cli.layers import SCENE
 from follow.cli.settings import as_toml
-from follow.cli.sim import scene_camera
+from follow.cli.sim import Referee, scene_camera
 from follow.config import CameraConfig, Config, resolve
 from follow.control.acquire import Acquire
 from follow.control.image_motion import ImageMotionMeter
@@ -54,6 +54,7 @@ class OpenCamera:
     target: Box
     config: Config
     truth: Callable[[Tick], Box | None] = lambda _tick: None
+    score: Callable[[], Figures] = Figures
 
 
 def open_camera(command: RunCommand, link: Link, report: Notify) -> OpenCamera:
@@ -82,12 +83,13 @@ def open_scene(command: RunCommand, link: Link, drawn: CameraConfig | None = Non
     mount = scene_camera(scenario, autopilot, drawn) if drawn else believed
     camera, _ = build_live(scenario, command.seed, autopilot, link, mount)
     target = box_of(command.target) if command.target is not None else camera.first()[1]
-
-    def true_box(tick: Tick) -> Box | None:
-        return None if tick.frame is None else camera.truth(tick.frame.index).box
-
     config = resolve(command.config, believed.intrinsics, believed.down_rad, believed.latency_s)
-    return OpenCamera(camera, believed.intrinsics, believed.down_rad, target, config, true_box)
+    referee = Referee(camera)
+
+    def scored() -> Figures:
+        return {**referee.figures(referee.flown(), config), "scenario": scenario.name, "seed": command.seed}
+
+    return OpenCamera(camera, believed.intrinsics, believed.down_rad, target, config, referee.box, scored)
 
 
 def check(command: RunCommand) -> None:
@@ -132,7 +134,7 @@ def fly_live(command: RunCommand) -> None:
             fly_prepared(command, flight, link, recorder, terminal.report)
             autopilot = link.state().autopilot
         figures: Figures = {"tracker": command.tracker, "autopilot": autopilot.value if autopilot else ""}
-        figures = recorder.close(figures)
+        figures = recorder.close({**figures, **flight.seen.score()})
     log.removeHandler(forwarder)
     conclude(figures, command.out, terminal, as_json=command.json, finished=True)
 

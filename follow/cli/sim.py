@@ -2,7 +2,7 @@
 
 import math
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import cast
@@ -23,7 +23,8 @@ from follow.safety.gate import Safety
 from racf.box import Box
 from racf.commandline import UsageError
 from racf.parallel import each
-from sim.camera import CameraSettings
+from racf.threads import one_core
+from sim.camera import CameraSettings, SceneCamera
 from sim.plot import Strip, draw
 from sim.scenarios import SCENARIOS, Scenario, build
 from sim.score import FlightScore, ScoredTick, score
@@ -49,6 +50,32 @@ class FlightSpec:
         return f"{self.scenario}-{self.autopilot.value}-{self.seed}"
 
 
+class Referee:
+    """Sees each round of a flight through a drawn scene as it truly was, and scores the flight."""
+
+    def __init__(self, camera: SceneCamera) -> None:
+        self.camera = camera
+        self.rows: list[ScoredTick] = []
+
+    def box(self, tick: Tick) -> Box | None:
+        """Note the round; the target's true box in its frame, None without a frame or behind the camera."""
+        row = ScoredTick.of(tick, self.camera)
+        self.rows.append(row)
+        return None if row.truth is None else row.truth.box
+
+    def flown(self) -> list[ScoredTick]:
+        """The rounds from the first setpoint to the last."""
+        sent = [k for k, row in enumerate(self.rows) if row.setpoint is not None]
+        return self.rows[sent[0] : sent[-1] + 1] if sent else []
+
+    def figures(self, rows: Sequence[ScoredTick], config: Config) -> Figures:
+        """The score of some rounds; nothing if they have no frame."""
+        if not any(row.truth for row in rows):
+            return {}
+        lens = self.camera.settings.intrinsics
+        return rounded(score(rows, lens, config.servo.standoff_m, asdict(config.limits)))
+
+
 def simulate(flight: FlightSpec, terminal: Terminal, *, bar: bool) -> tuple[Figures, bool]:
     """Fly in the simulator; the summary, and whether it was flown to its end."""
     scenario, config = SCENARIOS[flight.scenario], flight.config
@@ -60,19 +87,17 @@ def simulate(flight: FlightSpec, terminal: Terminal, *, bar: bool) -> tuple[Figu
     target, servo = Target(lens, down_rad, config.target), Servo(down_rad, config.servo)
     safety, meter = Safety(config.limits), ImageMotionMeter(lens, down_rad)
     about = f"# follow sim {flight.scenario}\n\n{scenario.about}; seed {flight.seed}, {flight.autopilot.value}"
-    rows: list[ScoredTick] = []
+    referee = Referee(camera)
     strip = Strip(scenario.duration_s)
     with camera, Recorder(flight.out, config.record, terminal.report, waits=True, about=about) as recorder:
         recorder.settings(as_toml(flight.config, config))
         tracker = acquire(flight.tracker, camera.first()[1])
 
         def true_box(tick: Tick) -> Box | None:
-            truth = camera.truth(tick.frame.index) if tick.frame else None
-            rows.append(ScoredTick.of(tick, camera))
-            if tick.frame is None or truth is None:
-                return None
-            strip.add(tick.frame, truth.box, tick.track.box if tick.track else None)
-            return truth.box
+            box = referee.box(tick)
+            if tick.frame is not None:
+                strip.add(tick.frame, box, tick.track.box if tick.track else None)
+            return box
 
         with link:
             ticks = follow(camera, link, tracker, target, servo, safety, once(Order.FOLLOW), meter)
@@ -80,10 +105,10 @@ def simulate(flight: FlightSpec, terminal: Terminal, *, bar: bool) -> tuple[Figu
             finished = fly(
                 terminal.progress(ticks, rounds, flight.name) if bar else ticks, recorder, terminal, true_box
             )
-        scored = rounded(score(rows, drawn.intrinsics, servo.config.standoff_m, asdict(safety.limits)))
+        scored = referee.figures(referee.rows, config)
         flown: Figures = {"scenario": flight.scenario, "seed": flight.seed, "autopilot": flight.autopilot.value}
         figures = recorder.close({"tracker": flight.tracker, **scored, **flown})
-    draw(flight.out / "flight.png", flight.name, rows, world, drawn.intrinsics, servo.config.standoff_m, strip)
+    draw(flight.out / "flight.png", flight.name, referee.rows, world, drawn.intrinsics, servo.config.standoff_m, strip)
     return figures, finished
 
 
@@ -130,10 +155,11 @@ def sim_all(command: SimCommand, configs: Mapping[str, Config], terminal: Termin
     ]
     out = command.out or OUT
     flights = [replace(flight, out=out / flight.name) for flight in flights]
-    flown = terminal.progress(each(simulate_quietly, flights), len(flights), "sim --all", "flights")
+    flown = terminal.progress(each(simulate_quietly, flights, dask=command.dask), len(flights), "sim --all", "flights")
     done = sorted(flown, key=lambda f: (scenarios.index(f[0].scenario), f[0].autopilot.value, f[0].seed))
     summaries = [figures for _, figures in done]
     written = table(summaries)
+    out.mkdir(parents=True, exist_ok=True)  # the flights of a cluster may be on other disks
     (out / "all.txt").write_text(written)
     if command.json:
         result(summaries, as_json=True)
@@ -142,5 +168,6 @@ def sim_all(command: SimCommand, configs: Mapping[str, Config], terminal: Termin
 
 
 def simulate_quietly(flight: FlightSpec) -> Figures:
-    """One flight of many, in a process of its own."""
+    """One flight of many, in a process of its own, here or on another machine."""
+    one_core()
     return simulate(flight, Terminal(), bar=False)[0]

@@ -5,14 +5,13 @@ boxes depend on nothing else.  With a folder, finished tasks are left there and 
 """
 
 import hashlib
-import importlib
 import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from time import perf_counter
-from typing import Any, Protocol
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -171,7 +170,7 @@ def run_all(
 
 def _outcomes(todo: list[Task], jobs: int, dask: str | None) -> Iterator[tuple[Task, SequenceRun]]:
     if dask is not None:
-        yield from _on_dask(todo, dask)
+        yield from each(run_task, todo, dask=dask)  # the workers must see the frames under the same paths
     elif jobs == 1:
         for task in todo:
             yield task, run_task(task)
@@ -180,18 +179,6 @@ def _outcomes(todo: list[Task], jobs: int, dask: str | None) -> Iterator[tuple[T
         for spec in {type(task.spec.build()): task.spec for task in todo}.values():
             warm_up(spec)
         yield from each(run_task, todo, jobs)
-
-
-def _on_dask(todo: list[Task], address: str) -> Iterator[tuple[Task, SequenceRun]]:
-    """The workers must see the frames under the same paths and have the same version installed."""
-    try:
-        distributed: Any = importlib.import_module("distributed")  # an extra
-    except ImportError:
-        raise ValueError("Dask needs the extra: pip install 'follow-me[dask]'") from None
-    with distributed.Client(address) as client:
-        waiting = {client.submit(run_task, task, pure=False): task for task in todo}
-        for future in distributed.as_completed(list(waiting)):
-            yield waiting[future], future.result()
 
 
 def _stored(folder: Path | None, task: Task) -> SequenceRun | None:
