@@ -9,7 +9,6 @@ from follow.cli.commands import ReplayCommand, box_of
 from follow.cli.settings import as_toml
 from follow.config import Config, resolve
 from follow.control.footage import FootageTarget
-from follow.control.image_motion import ImageMotionMeter
 from follow.control.servo import Servo
 from follow.control.target import Target
 from follow.flight.session import acquire, conclude, fly, once
@@ -55,10 +54,9 @@ def replay(command: ReplayCommand) -> None:
         target = FootageTarget(Target(lens, config.camera.down_rad, config.target), moves_view=command.ptz)
         servo = Servo(config.camera.down_rad, config.servo)
         tracker, safety = acquire(command.tracker, box), Safety(config.limits)
-        # Without the window the footage does not answer to the vehicle: there is nothing to compare.
-        meter = ImageMotionMeter(lens, config.camera.down_rad) if ptz is not None else None
+        # No meter: the motion of the camera that filmed the footage is unknown, so the image contradicts nothing.
         with link:
-            ticks = follow(camera, link, tracker, target, servo, safety, once(Order.FOLLOW), meter)
+            ticks = follow(camera, link, tracker, target, servo, safety, once(Order.FOLLOW))
             ticks = terminal.progress(ticks, footage.rounds, "replay")
             finished = fly(ticks, recorder, terminal, score.add)
         if line := score.shortfall():
