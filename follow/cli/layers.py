@@ -25,6 +25,7 @@ from racf.commandline import UsageError, parse
 PROG = "follow"
 ABOUT = "Keep a target in view: with PX4, ArduPilot, footage or a simulated flight."
 SCENE = "scene:"
+HELP = ("-h", "--help")
 ARG: Any = type(tyro.conf.arg())
 MARKERS = (tyro.conf.EnumChoicesFromValues,)  # px4, not PX4, is what is typed
 NAMES: dict[str, type[Any]] = {
@@ -60,7 +61,7 @@ def settings_of(words: Sequence[str], scenario: str) -> Config:
 
 def below(words: Sequence[str], scenario: str | None = None) -> Config:
     """The settings of all layers below the command line.  Raises UsageError."""
-    first = _glance(words)
+    first = _glance([word for word in words if word not in HELP])  # the help shows the defaults of the layers
     layers: list[tuple[str, Table]] = []
     if name := scenario or _scenario(first):
         layers.append((f"scenario {name}", _suggested(name)))
@@ -89,17 +90,29 @@ def _glance(words: Sequence[str]) -> Any:
     with contextlib.suppress(SystemExit), contextlib.redirect_stderr(io.StringIO()):
         # Help and whatever is wrong with the words is the second reading's business.
         cli = cast(Any, tyro.cli)
-        return cli(_commands(Config()), args=words, prog=PROG, config=MARKERS, add_help=False, console_outputs=False)
+        return cli(
+            _commands(Config(), needs_all=False),
+            args=words,
+            prog=PROG,
+            config=MARKERS,
+            add_help=False,
+            console_outputs=False,
+        )
     return None
 
 
-def _commands(config: Config) -> Any:
-    """The commands by name; a setting that the command line does not give is that of `config`."""
+def _commands(config: Config, *, needs_all: bool = True) -> Any:
+    """The commands by name; a setting that the command line does not give is that of `config`.
+
+    Without `needs_all` a required word may be missing: it is then empty.
+    """
     named: list[Any] = []
     for name, kind in NAMES.items():
         known = {f.name for f in fields(kind)}
         given = {"config": _opened(config)} if "config" in known else {}
-        required = {f.name: tyro.MISSING for f in fields(kind) if f.default is f.default_factory is MISSING}
+        hints = get_type_hints(kind)
+        missing = {f.name: hints[f.name] for f in fields(kind) if f.default is f.default_factory is MISSING}
+        required = {name: tyro.MISSING if needs_all else hint() for name, hint in missing.items()}
         default = _open(kind)(**required, **given)
         named.append(Annotated[_open(kind), tyro.conf.subcommand(name, default=default)])
     return Union[tuple(named)]  # noqa: UP007 - as many as there are names

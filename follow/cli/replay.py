@@ -11,7 +11,7 @@ from follow.config import Config, resolve
 from follow.control.footage import FootageTarget
 from follow.control.servo import Servo
 from follow.control.target import Target
-from follow.flight.session import acquire, conclude, fly, once
+from follow.flight.session import acquire, conclude, fly, keep_live_flight, once
 from follow.link.replay import ReplayLink
 from follow.loop import follow
 from follow.messages import Order
@@ -39,8 +39,7 @@ def replay(command: ReplayCommand) -> None:
     config = command.config
     footage = open_replay(command.source, command.fps, terminal.report)
     about = f"# follow replay {command.source}\n\ntracker {command.tracker}, {footage.fps:g} frames/s"
-    with footage, Recorder(command.out, config.record, terminal.report, waits=True, about=about) as recorder:
-        terminal.listeners.append(recorder.message)
+    with footage:
         link = ReplayLink(footage.fps, REPLAY_HEIGHT_M, command.autopilot, holds_place=command.ptz)
         camera: Camera = footage
         lens = config.camera.intrinsics(*footage.size)
@@ -50,21 +49,23 @@ def replay(command: ReplayCommand) -> None:
             camera, lens = ptz, ptz.intrinsics
             box = box.moved(-ptz.window.x, -ptz.window.y)
         config = resolve(config, lens, config.camera.down_rad, 0.0)  # a file's frames do not come late
-        recorder.settings(as_toml(command.config, config))
         target = FootageTarget(Target(lens, config.camera.down_rad, config.target), moves_view=command.ptz)
         servo = Servo(config.camera.down_rad, config.servo)
         tracker, safety = acquire(command.tracker, box), Safety(config.limits)
-        # No meter: the motion of the camera that filmed the footage is unknown, so the image contradicts nothing.
-        with link:
+        keep_live_flight(command.out, terminal)
+        with link, Recorder(command.out, config.record, terminal.report, waits=True, about=about) as recorder:
+            terminal.listeners.append(recorder.message)
+            recorder.settings(as_toml(command.config, config))
+            # No meter: the motion of the camera that filmed the footage is unknown, so the image contradicts nothing.
             ticks = follow(camera, link, tracker, target, servo, safety, once(Order.FOLLOW))
             ticks = terminal.progress(ticks, footage.rounds, "replay")
             finished = fly(ticks, recorder, terminal, score.add)
-        if line := score.shortfall():
-            terminal.report(line)
-        if any(link.refused.values()):
-            terminal.report(f"the vehicle refused setpoints: {link.refused}")
-        flown: Figures = {"tracker": command.tracker, "autopilot": command.autopilot.value}
-        figures = recorder.close({**flown, **score.figures()})
+            if line := score.shortfall():
+                terminal.report(line)
+            if any(link.refused.values()):
+                terminal.report(f"the vehicle refused setpoints: {link.refused}")
+            flown: Figures = {"tracker": command.tracker, "autopilot": command.autopilot.value}
+            figures = recorder.close({**flown, **score.figures()})
     conclude(figures, command.out, terminal, as_json=command.json, finished=finished)
 
 

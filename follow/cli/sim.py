@@ -13,7 +13,7 @@ from follow.config import CameraConfig, Config, resolve
 from follow.control.image_motion import ImageMotionMeter
 from follow.control.servo import Servo
 from follow.control.target import Target
-from follow.flight.session import acquire, conclude, fly, once
+from follow.flight.session import acquire, conclude, fly, keep_live_flight, once
 from follow.loop import follow
 from follow.messages import Autopilot, Order, Tick
 from follow.operator.terminal import Terminal, result, table
@@ -89,9 +89,10 @@ def simulate(flight: FlightSpec, terminal: Terminal, *, bar: bool) -> tuple[Figu
     about = f"# follow sim {flight.scenario}\n\n{scenario.about}; seed {flight.seed}, {flight.autopilot.value}"
     referee = Referee(camera)
     strip = Strip(scenario.duration_s)
+    tracker = acquire(flight.tracker, camera.first()[1])  # what may refuse a flight comes before its recording
+    keep_live_flight(flight.out, terminal)
     with camera, Recorder(flight.out, config.record, terminal.report, waits=True, about=about) as recorder:
         recorder.settings(as_toml(flight.config, config))
-        tracker = acquire(flight.tracker, camera.first()[1])
 
         def true_box(tick: Tick) -> Box | None:
             box = referee.box(tick)

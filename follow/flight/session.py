@@ -6,7 +6,7 @@ from pathlib import Path
 from follow.control.acquire import Acquire
 from follow.messages import NO_INSTRUCTION, Cause, Instruction, Order, Reason, Tick
 from follow.operator.terminal import Terminal, result
-from follow.recording.recorder import FILES, Recorder
+from follow.recording.recorder import FILES, Recorder, set_aside
 from follow.recording.summary import Figures
 from racf import Racf
 from racf.box import Box
@@ -31,6 +31,12 @@ def once(order: Order) -> Callable[[], Instruction]:
     """An operator who gives one order, in the first round."""
     orders = iter((Instruction(order, Reason(Cause.FOLLOW_ORDERED, "the command line")),))
     return lambda: next(orders, NO_INSTRUCTION)
+
+
+def keep_live_flight(out: Path, terminal: Terminal) -> None:
+    """Move the recording of a live flight in `out` aside; that of a replay or a simulation may be written over."""
+    if (out / "flight.tlog").exists():
+        terminal.report(f"the flight that was in {out} is now in {set_aside(out)}")
 
 
 def fly(ticks: Iterable[Tick], recorder: Recorder, terminal: Terminal, truth: Callable[[Tick], Box | None]) -> bool:

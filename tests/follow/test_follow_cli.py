@@ -222,6 +222,28 @@ def test_a_recorded_file_flown_with_another_lens_and_delay_pins_nothing_that_fol
     assert told["camera"]["down_deg"] == pytest.approx(math.degrees(mount.down_rad))
 
 
+@pytest.mark.parametrize("command", ["sim", "replay"])
+def test_a_refused_start_leaves_the_last_flight_as_it_is(capfd, brief, footage, tmp_path, command):
+    what = (brief,) if command == "sim" else (footage, "--target", "309,192,22,48")
+    words = (command, *what, "--record.no-pictures", "--out", tmp_path / "out")
+    assert follow(capfd, *words)[0] == 0
+    before = {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()}
+    assert follow(capfd, *words, "--tracker", "rafc")[0] == 2
+    assert {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()} == before
+
+
+@pytest.mark.parametrize("command", ["sim", "replay"])
+def test_a_live_flights_recording_is_not_written_over(capfd, brief, footage, tmp_path, command):
+    for name in ("flight.tlog", "ticks.csv"):
+        (tmp_path / name).write_text(f"a live flight's {name}")
+    what = (brief,) if command == "sim" else (footage, "--target", "309,192,22,48")
+    status, _, err = follow(capfd, command, *what, "--record.no-pictures", "--out", tmp_path)
+    assert status == 0
+    assert f"the flight that was in {tmp_path} is now in {tmp_path / 'earlier-1'}" in err
+    assert (tmp_path / "earlier-1/ticks.csv").read_text() == "a live flight's ticks.csv"
+    assert not (tmp_path / "flight.tlog").exists()
+
+
 def test_what_a_person_chose_stands_above_what_the_scenario_suggests(capfd, brief, tmp_path):
     words = ("sim", brief, "--out", tmp_path, "--json", "--servo.standoff-m", "20", "--record.no-pictures")
     status, out, err = follow(capfd, *words)

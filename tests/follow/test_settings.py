@@ -103,7 +103,12 @@ def test_the_help_shows_a_default_with_its_unit_and_what_the_file_gives(capfd, t
     with pytest.raises(SystemExit):
         main(["run", "--help"])
     assert "(default: 300.0 m)" in " ".join(capfd.readouterr().out.replace("│", " ").split())
-    assert read(["run", "--link", "udpin:127.0.0.1:1", "--settings", str(path)]).config.limits.fence_m == 77.0
+    with pytest.raises(SystemExit):
+        main(["run", "--settings", str(path), "--help"])
+    assert "77.0 m)" in capfd.readouterr().out
+    with pytest.raises(SystemExit):
+        main(["sim", "car", "-h"])
+    assert f"{SCENARIOS['car'].standoff_m} m)" in capfd.readouterr().out
 
 
 def test_a_file_sets_what_it_names_and_nothing_else(tmp_path):
