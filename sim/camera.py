@@ -22,7 +22,7 @@ from sim.scene.optics import Lens, Optics, Sensor, smear
 from sim.scene.rendering import Scene, Seen
 from sim.scene.world import ActorPose, World
 
-LENS_M = 0.2  # height of the lens of a vehicle that stands on the ground; a lens in the ground sees no plane
+LENS_M = 0.2  # height of the lens of a landed vehicle; a lens in the plane of the ground sees a line
 ROUNDS_PER_S = 30.0  # at least, with or without a frame
 EXTRAPOLATED_S = 0.25  # at most: telemetry comes 10 times a second or faster; a stalled vehicle's image stands still
 

@@ -1,6 +1,6 @@
 """A short clip drawn by code: a striped walker on patterned ground under a camera that drifts, with its true boxes.
 
-python -m sim.clip clip.mp4      writes the video, and clip.txt with a box a picture: x,y,w,h, 1-based as in benchmarks
+python -m sim.clip clip.mp4      writes the video, and clip.txt with a box a frame: x,y,w,h, 1-based as in benchmarks
 """
 
 import math
@@ -18,14 +18,14 @@ FPS = 30.0
 WALKER = (22, 48)  # pixels wide and high: what a person of 1.8 m fills from 15 m with a 70 degree lens at 640x360
 
 
-def clip(pictures: int, size: tuple[int, int] = (640, 360), seed: int = 1) -> Iterator[tuple[NDArray[np.uint8], Box]]:
-    """Yield `pictures` BGR images (height, width, 3) of the given (width, height), each with the walker's true box."""
+def clip(frames: int, size: tuple[int, int] = (640, 360), seed: int = 1) -> Iterator[tuple[NDArray[np.uint8], Box]]:
+    """Yield `frames` BGR images (height, width, 3) of the given (width, height), each with the walker's true box."""
     w, h = size
     rng = np.random.default_rng(seed)
     margin = 80
     ground = _ground(rng, w + 2 * margin, h + 2 * margin)
     figure = _walker(rng)
-    for n in range(pictures):
+    for n in range(frames):
         t = n / FPS
         # The camera drifts in a slow figure of eight; the walker strolls back and forth and nears a little.
         pan_x = margin + 50 * math.sin(0.5 * t)
@@ -44,7 +44,7 @@ def clip(pictures: int, size: tuple[int, int] = (640, 360), seed: int = 1) -> It
         yield np.clip(image + noise, 0, 255).astype(np.uint8), box
 
 
-def write(path: Path, pictures: int = 300, seed: int = 1) -> Path:
+def write(path: Path, frames: int = 300, seed: int = 1) -> Path:
     """Write the clip as a video and its true boxes beside it; returns the boxes' file.  Raises OSError."""
     boxes = path.with_suffix(".txt")
     rows: list[str] = []
@@ -53,7 +53,7 @@ def write(path: Path, pictures: int = 300, seed: int = 1) -> Path:
     video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), FPS, size)
     if not video.isOpened():
         raise OSError(f"{path} cannot be written as an MPEG-4 video")
-    for image, box in clip(pictures, size, seed):
+    for image, box in clip(frames, size, seed):
         video.write(image)
         rows.append(f"{box.x + 1:.3f},{box.y + 1:.3f},{box.w:.3f},{box.h:.3f}\n")
     video.release()

@@ -12,7 +12,7 @@ from follow.messages import HOVER, Autopilot, Landed, Setpoint, VehicleState
 from sim.dynamics import Vehicle, VehicleTruth
 from sim.measured import PX4_SINK_M_S
 
-TELEMETRY_DELAY_S = 0.03  # attitude at 50 Hz over a serial line: half a period and the way
+TELEMETRY_DELAY_S = 0.03  # attitude at 50 Hz over a serial line: half a period and the transmission
 
 
 def present(m: VehicleTruth) -> Setpoint:
@@ -28,20 +28,20 @@ class SimLink:
         self.setpoint = present(vehicle.motion)  # whoever flew it here keeps its velocity until we send
         self.sent_t_s: float | None = None
         self._delay_s = telemetry_delay_s
-        self._told: deque[VehicleTruth] = deque([vehicle.motion])
+        self._reports: deque[VehicleTruth] = deque([vehicle.motion])
 
     def advance(self, dt_s: float) -> VehicleTruth:
-        """Let time pass and give the true motion at its end."""
+        """Let time pass and give the vehicle's true state at its end."""
         vehicle = self.vehicle
         if dt_s > 0.0:
             vehicle.step(self._obeyed(), dt_s)
-            self._told.append(vehicle.motion)
-        while len(self._told) > 1 and self._told[1].t_s <= vehicle.motion.t_s - self._delay_s + 1e-9:
-            self._told.popleft()
+            self._reports.append(vehicle.motion)
+        while len(self._reports) > 1 and self._reports[1].t_s <= vehicle.motion.t_s - self._delay_s + 1e-9:
+            self._reports.popleft()
         return vehicle.motion
 
     def obeys(self) -> bool:
-        """Whether the stream of setpoints is still believed in."""
+        """Whether the autopilot still obeys the stream of setpoints."""
         if self.sent_t_s is None:
             return True
         return self.vehicle.motion.t_s - self.sent_t_s < STREAM_TIMEOUT_S[self.vehicle.autopilot]
@@ -53,7 +53,7 @@ class SimLink:
 
     def state(self) -> VehicleState:
         """The state as telemetry has it, a little old."""
-        m, autopilot = self._told[0], self.vehicle.autopilot
+        m, autopilot = self._reports[0], self.vehicle.autopilot
         px4_lost = autopilot is Autopilot.PX4 and not self.obeys()
         return VehicleState(
             t_s=self.vehicle.motion.t_s,

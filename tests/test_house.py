@@ -107,8 +107,6 @@ WORDS_LEFT: dict[str, int] = {
     "docs/vehicle.md": 2,
     "follow/messages.py": 2,
     "follow/ranges.py": 1,
-    "sim/clip.py": 2,
-    "sim/scene/trees.py": 3,
     "tests/follow/test_follow_cli.py": 1,
     "tests/follow/test_following.py": 2,
     "tests/follow/test_servo.py": 2,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from follow.geometry import ned_to_heading
 from sim.scene.world import GAITS, Actor, ActorPose, Array, Colour, Kind, Look, Sun
 
-AMBIENT = 0.5  # share of light that comes from the sky, a clear day
+AMBIENT = 0.5  # fraction of light that comes from the sky, a clear day
 
 
 Point = tuple[float, float, float]
@@ -120,9 +120,9 @@ def person(f: Frame3, look: Look, phase: float, swing: float, lean: float) -> li
     hip, shoulder, top = 0.92, 1.42, 1.60
     ahead = lean * (shoulder - hip)
     parts: list[Draft] = []
-    for side, way in ((-1.0, 1.0), (1.0, -1.0)):
-        thigh = swing * math.sin(phase) * way
-        bend = swing * (0.9 + math.cos(phase) * way)
+    for side, sign in ((-1.0, 1.0), (1.0, -1.0)):
+        thigh = swing * math.sin(phase) * sign
+        bend = swing * (0.9 + math.cos(phase) * sign)
         knee = (0.46 * math.sin(thigh), 0.09 * side, hip - 0.46 * math.cos(thigh))
         shin = thigh - bend
         foot = (knee[0] + 0.44 * math.sin(shin), knee[1], max(knee[2] - 0.44 * math.cos(shin), 0.04))
@@ -135,8 +135,8 @@ def person(f: Frame3, look: Look, phase: float, swing: float, lean: float) -> li
     parts.append(f.limb((ahead, -0.16, shoulder), (ahead, 0.16, shoulder), 0.09, 0.09, shade(look.upper, 1.15)))
     # A small pack on the back: what the camera sees from behind and not from the front.
     parts.append(f.limb((-0.17, 0.0, 1.12), (ahead - 0.19, 0.0, 1.36), 0.11, 0.11, look.mark))
-    for side, way in ((-1.0, -1.0), (1.0, 1.0)):
-        arm = swing * 0.9 * math.sin(phase) * way
+    for side, sign in ((-1.0, -1.0), (1.0, 1.0)):
+        arm = swing * 0.9 * math.sin(phase) * sign
         start = (ahead, 0.24 * side, shoulder - 0.02)
         elbow = (start[0] + 0.28 * math.sin(arm), 0.27 * side, start[2] - 0.28 * math.cos(arm))
         hand = (elbow[0] + 0.25 * math.sin(arm + 0.5), 0.25 * side, elbow[2] - 0.25 * math.cos(arm + 0.5))

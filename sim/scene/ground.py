@@ -134,7 +134,7 @@ def tiled(tile: NDArray[np.floating], size: int) -> Image:
 
 
 def paint_road(painter: Painter, road: Road, random: np.random.Generator) -> None:
-    """Asphalt with edge lines and a broken centre line, or a gravel way."""
+    """Asphalt with edge lines and a broken centre line, or a gravel path."""
     line = np.array(road.points, np.float64)
     if not road.paved:
         painter.line(line, road.width_m + 0.6, (105, 135, 140))
@@ -151,9 +151,9 @@ def paint_road(painter: Painter, road: Road, random: np.random.Generator) -> Non
         painter.line(points[start : start + 4], 0.15, (220, 222, 222))
     for _ in range(len(points) // 6):  # patches and cracks
         k = random.integers(0, len(points))
-        place = points[k] + side[k] * random.uniform(-0.4, 0.4) * road.width_m
+        point = points[k] + side[k] * random.uniform(-0.4, 0.4) * road.width_m
         grey = int(random.integers(75, 115))
-        corners = place + random.uniform(0.4, 1.6, (4, 1)) * np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]])
+        corners = point + random.uniform(0.4, 1.6, (4, 1)) * np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]])
         painter.area(corners, (grey, grey, grey))
 
 
@@ -173,7 +173,7 @@ def blob(random: np.random.Generator, radius: float, count: int = 18) -> NDArray
 
 
 def shadows(shape: tuple[int, int], north_m: float, east_m: float, world: World) -> Image:
-    """Light on the ground, 255 in the sun: what stands still throws shadow."""
+    """Light on the ground, 255 in the sun: trees and buildings throw shadows."""
     terrain = world.terrain
     light = np.full(shape, 255, np.uint8)
     painter = Painter(light, north_m, east_m)
@@ -212,11 +212,11 @@ def ground(world: World) -> Ground:
     image = fields(random, size)
     painter = Painter(image, north, east)
     for _ in range(45 * size * size // TILE**2):  # tufts, bare patches, stones
-        place = random.uniform(0, size * CELL_M, 2) + np.array([north, east])
+        point = random.uniform(0, size * CELL_M, 2) + np.array([north, east])
         shade = random.uniform(0.65, 1.3)
         base = np.array(FIELDS[random.integers(len(FIELDS))]) * shade
         colour = (int(base[0]), int(base[1]), int(base[2]))
-        painter.area(place + blob(random, random.uniform(0.3, 2.2), 10), colour)
+        painter.area(point + blob(random, random.uniform(0.3, 2.2), 10), colour)
     for road in world.roads:
         paint_road(painter, road, random)
     image = cv2.addWeighted(image, 1, tiled(128 + 5 * noise(random, TILE, 4, 1), size), 1, -128)

@@ -124,9 +124,9 @@ class Scene:
         rows = zip(shown.tolist(), away[shown].tolist(), pixels.tolist(), radius.tolist(), strict=True)
         feet = zip(trunks, below[:, 1].tolist(), (foot_depth > NEAR_M).tolist(), strict=True)
         out: list[Drawn] = []
-        for (k, distance, (mx, my), r), (trunk, foot_y, stands) in zip(rows, feet, strict=True):
-            low_y, high_y = (min(my - r, foot_y), max(my + r, foot_y)) if stands else (my - r, my + r)
-            polygons = [(trunk, TRUNK)] if stands else []
+        for (k, distance, (mx, my), r), (trunk, foot_y, rooted) in zip(rows, feet, strict=True):
+            low_y, high_y = (min(my - r, foot_y), max(my + r, foot_y)) if rooted else (my - r, my + r)
+            polygons = [(trunk, TRUNK)] if rooted else []
             sprite = self.sprites[self.world.trees[k].sprite % len(self.sprites)]
             out.append(Drawn(distance, polygons, (mx - r, low_y), (mx + r, high_y), sprite, (mx, my, r)))
         return out

@@ -1,4 +1,4 @@
-"""Crowns of trees, drawn once from a seed and blended into pictures at any size."""
+"""Crowns of trees, drawn once from a seed and blended into images at any size."""
 
 import math
 from dataclasses import dataclass
@@ -11,12 +11,12 @@ Image = NDArray[np.uint8]
 
 SIZE = 192  # texels of the largest copy
 COPIES = 5  # each half as large as the one before
-REACH = 0.46  # a crown's radius as a share of its copy's side
+REACH = 0.46  # a crown's radius as a fraction of its copy's side
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sprite:
-    """Copies of a crown: colour times cover in BGR, and 255 - cover in the channel that pictures leave unused."""
+    """Copies of a crown: colour times cover in BGR, and 255 - cover in the channel that images leave unused."""
 
     copies: tuple[Image, ...]
 
@@ -47,7 +47,7 @@ class Sprite:
     def _placed(
         self, width: int, height: int, x: float, y: float, radius: float
     ) -> tuple[int, NDArray[np.float64], tuple[int, int, int, int]] | None:
-        """Which copy, the affine map from the region to it, and the region of the picture."""
+        """Which copy, the affine map from the region to it, and the region of the image."""
         x0, x1 = max(math.floor(x - radius) - 1, 0), min(math.ceil(x + radius) + 1, width)
         y0, y1 = max(math.floor(y - radius) - 1, 0), min(math.ceil(y + radius) + 1, height)
         if x0 >= x1 or y0 >= y1 or radius < 0.5:
@@ -77,10 +77,10 @@ def crown(random: np.random.Generator) -> Sprite:
     for x, y in clusters[np.argsort(-clusters[:, 1])]:  # low ones first, the lit top over them
         light = 0.78 - 0.38 * y - 0.1 * x + random.uniform(-0.14, 0.14)
         b, g, r = np.clip(base * light * 1.25, 0, 255).tolist()
-        place = round(SIZE / 2 + REACH * SIZE * x), round(SIZE / 2 + REACH * SIZE * y)
+        centre = round(SIZE / 2 + REACH * SIZE * x), round(SIZE / 2 + REACH * SIZE * y)
         size = round(SIZE * random.uniform(0.035, 0.085))
-        cv2.circle(image, place, size, (b, g, r), -1, cv2.LINE_AA)
-        cv2.circle(cover, place, size, (255,), -1, cv2.LINE_AA)
+        cv2.circle(image, centre, size, (b, g, r), -1, cv2.LINE_AA)
+        cv2.circle(cover, centre, size, (255,), -1, cv2.LINE_AA)
     grain = random.normal(0, 14, (SIZE, SIZE, 1))
     image = np.clip(image + cv2.GaussianBlur(grain, (0, 0), 0.8)[..., None], 0, 255).astype(np.uint8)
     cover3 = cv2.merge([cover] * 3)

@@ -28,12 +28,12 @@ class Kind(str, Enum):
 
 @dataclass(frozen=True, slots=True)
 class Gait:
-    """How one kind moves: usual speed, sideways acceleration in turns and along the way, steps or turns per metre."""
+    """How one kind moves: usual speed, sideways acceleration in turns and along the path, length of a stride."""
 
     speed_m_s: float
     turn_m_s2: float
     accel_m_s2: float
-    cycle_m: float  # way of one stride (both legs) or one turn of the pedals
+    cycle_m: float  # distance of one stride (both legs) or one turn of the pedals
 
 
 GAITS = {
@@ -46,7 +46,7 @@ GAITS = {
 
 @dataclass(frozen=True, slots=True)
 class Leg:
-    """Go to a place at a speed (None: the kind's own), then stand there for a while."""
+    """Go to a point at a speed (None: the kind's own), then stand there for a while."""
 
     north_m: float
     east_m: float
@@ -56,17 +56,17 @@ class Leg:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Route:
-    """A way through time: rows of (north, east, heading, speed, distance) every ROUTE_STEP_S from time 0."""
+    """A path through time: rows of (north, east, heading, speed, distance) every ROUTE_STEP_S from time 0."""
 
     table: Array
 
     def at(self, t_s: float) -> "ActorPose":
-        """Where the actor is, interpolated; it stands at its first or last place outside the route's time."""
+        """Where the actor is, interpolated; it stands at its first or last position outside the route's time."""
         index = min(max(t_s / ROUTE_STEP_S, 0.0), len(self.table) - 1.0)
         low = min(int(index), len(self.table) - 2)
-        share = index - low
-        north, east, heading, speed, way = ((1 - share) * self.table[low] + share * self.table[low + 1]).tolist()
-        return ActorPose(north, east, heading, speed, way)
+        fraction = index - low
+        north, east, heading, speed, gone = ((1 - fraction) * self.table[low] + fraction * self.table[low + 1]).tolist()
+        return ActorPose(north, east, heading, speed, gone)
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,45 +82,45 @@ class ActorPose:
 
 
 def route(kind: Kind, legs: tuple[Leg, ...], duration_s: float) -> Route:
-    """Walk the legs: the first one's place is the start; the actor steers toward each next place and turns on foot.
+    """Walk the legs: the first is the start; the actor steers toward each next point and turns gradually.
 
     It turns no faster than its sideways acceleration allows at its speed, speeds up and slows down by its own
-    acceleration, and ends its way at the last place.
+    acceleration, and stops at the last point.
     """
     gait = GAITS[kind]
     north, east = legs[0].north_m, legs[0].east_m
     heading = math.atan2(legs[1].east_m - east, legs[1].north_m - north)
     speed = legs[0].speed_m_s if legs[0].speed_m_s is not None else gait.speed_m_s
-    pause, goal, way = legs[0].pause_s, 1, 0.0
+    pause, following, gone = legs[0].pause_s, 1, 0.0
     if pause > 0.0:
         speed = 0.0
     rows: list[tuple[float, float, float, float, float]] = []
     for _ in range(round((duration_s + ROUTE_MARGIN_S) / ROUTE_STEP_S) + 1):
-        rows.append((north, east, heading, speed, way))
+        rows.append((north, east, heading, speed, gone))
         if pause > 0.0:
             pause -= ROUTE_STEP_S
             continue
-        if goal >= len(legs):
+        if following >= len(legs):
             continue
-        leg = legs[goal]
+        leg = legs[following]
         away_n, away_e = leg.north_m - north, leg.east_m - east
         distance = math.hypot(away_n, away_e)
-        stops = leg.pause_s > 0.0 or goal == len(legs) - 1
-        wanted = leg.speed_m_s if leg.speed_m_s is not None else gait.speed_m_s
+        stops = leg.pause_s > 0.0 or following == len(legs) - 1
+        target_m_s = leg.speed_m_s if leg.speed_m_s is not None else gait.speed_m_s
         if stops:
-            wanted = min(wanted, math.sqrt(2.0 * gait.accel_m_s2 * max(distance, 0.0)) + 0.05)
+            target_m_s = min(target_m_s, math.sqrt(2.0 * gait.accel_m_s2 * max(distance, 0.0)) + 0.05)
         turn = math.remainder(math.atan2(away_e, away_n) - heading, math.tau)
         radius = speed * speed / gait.turn_m_s2
         if abs(turn) > 0.5 and radius > 0.3 * distance:
-            wanted = min(wanted, max(0.4 * gait.speed_m_s, 0.5))  # slow down for a sharp corner
+            target_m_s = min(target_m_s, max(0.4 * gait.speed_m_s, 0.5))  # slow down for a sharp corner
         change = gait.accel_m_s2 * ROUTE_STEP_S
-        speed += max(-change, min(change, wanted - speed))
+        speed += max(-change, min(change, target_m_s - speed))
         limit = min(gait.turn_m_s2 / max(speed, 0.3), 2.5) * ROUTE_STEP_S
         heading += max(-limit, min(limit, turn))
         step = speed * ROUTE_STEP_S
-        north, east, way = north + step * math.cos(heading), east + step * math.sin(heading), way + step
+        north, east, gone = north + step * math.cos(heading), east + step * math.sin(heading), gone + step
         if distance < (0.1 if stops else max(0.4 * speed, 0.3)):
-            goal, pause = goal + 1, leg.pause_s
+            following, pause = following + 1, leg.pause_s
             if stops:
                 speed = 0.0
     return Route(np.array(rows))
@@ -177,7 +177,7 @@ class Road:
 
     points: tuple[tuple[float, float], ...]
     width_m: float
-    paved: bool = True  # with markings; else a gravel way
+    paved: bool = True  # with markings; else a gravel path
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,7 +236,7 @@ def wall(
     height_m: float,
     colour: Colour = (120, 135, 165),
 ) -> tuple[Block, ...]:
-    """A wall that begins at a place, as pieces of at most 2 m so that each is clearly before or behind an actor."""
+    """A wall that begins at a point, as pieces of at most 2 m so that each is clearly before or behind an actor."""
     count = max(1, math.ceil(length_m / 2.0))
     piece = length_m / count
     return tuple(
@@ -255,11 +255,11 @@ def wall(
 
 
 def scatter(world: World, extent_m: float, buildings: int, trees: int) -> World:
-    """The world with buildings and trees set around, clear of roads and of every actor's way; by the world's seed."""
+    """The world with buildings and trees set around, clear of roads and of every actor's path; by the world's seed."""
     random = np.random.default_rng([world.seed, 1])
     lines = [actor.route.table[::50, :2] for actor in world.actors]
     lines += [dense(road.points) for road in world.roads]
-    ways = np.concatenate(lines)
+    paths = np.concatenate(lines)
     centre = world.actors[0].route.table[:, :2].mean(axis=0)
     blocks, green = list(world.blocks), list(world.trees)
     walls = ((60, 90, 150), (170, 190, 205), (130, 150, 170), (195, 200, 205))
@@ -269,8 +269,8 @@ def scatter(world: World, extent_m: float, buildings: int, trees: int) -> World:
             break
         north, east = centre + random.uniform(-extent_m, extent_m, 2)
         length, width = random.uniform(9, 20), random.uniform(8, 13)
-        # A building hides the target from a camera that looks across it, so it stands well off the way.
-        if clear(ways, north, east) < world.keep_clear_m + length or any(
+        # A building hides the target from a camera that looks across it, so it is built well off the path.
+        if clear(paths, north, east) < world.keep_clear_m + length or any(
             math.hypot(north - b.north_m, east - b.east_m) < 30 for b in blocks
         ):
             continue
@@ -282,7 +282,7 @@ def scatter(world: World, extent_m: float, buildings: int, trees: int) -> World:
             break
         north, east = centre + random.uniform(-extent_m, extent_m, 2)
         height = random.uniform(5, 11)
-        if clear(ways, north, east) < world.keep_clear_m or any(
+        if clear(paths, north, east) < world.keep_clear_m or any(
             math.hypot(north - b.north_m, east - b.east_m) < 0.6 * b.length_m + 4 for b in blocks
         ):
             continue
@@ -301,6 +301,6 @@ def dense(points: tuple[tuple[float, float], ...], step_m: float = 3.0) -> Array
     return np.concatenate(pieces)
 
 
-def clear(ways: Array, north_m: float, east_m: float) -> float:
-    """Distance to the nearest point of the ways."""
-    return float(np.hypot(ways[:, 0] - north_m, ways[:, 1] - east_m).min())
+def clear(paths: Array, north_m: float, east_m: float) -> float:
+    """Distance to the nearest point of the paths."""
+    return float(np.hypot(paths[:, 0] - north_m, paths[:, 1] - east_m).min())

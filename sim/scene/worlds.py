@@ -59,7 +59,7 @@ def sun(random: Generator) -> Sun:
 
 
 def winding(random: Generator, length_m: float, piece_m: float, bend_rad: float) -> list[tuple[float, float]]:
-    """Points of a way that bends left and right."""
+    """Points of a path that bends left and right."""
     points, heading = [(0.0, 0.0), (piece_m, 0.0)], 0.0
     while piece_m * (len(points) - 1) < length_m:
         heading += float(random.uniform(-bend_rad, bend_rad))
@@ -74,7 +74,7 @@ def legs(points: list[tuple[float, float]], wait_s: float = 1.0) -> tuple[Leg, .
 
 
 def path(points: list[tuple[float, float]], width_m: float = 2.4) -> Road:
-    """A gravel way along the points and on beyond both ends."""
+    """A gravel path along the points and on beyond both ends."""
     (n0, e0), (n1, e1) = points[0], points[1]
     (n2, e2), (n3, e3) = points[-2], points[-1]
     before = (n0 - 3 * (n1 - n0), e0 - 3 * (e1 - e0))
@@ -133,17 +133,17 @@ def car_road(random: Generator, kind: Kind, duration_s: float) -> World:
 
 
 def actor_line(actor: Actor) -> tuple[tuple[float, float], ...]:
-    """The way that an actor really takes, every half second."""
+    """The path that an actor really takes, every half second."""
     return tuple((float(n), float(e)) for n, e in actor.route.table[::25, :2])
 
 
 def stops(random: Generator, kind: Kind, duration_s: float) -> World:
     """The actor stands still for a few seconds at some corners."""
     points = winding(random, GAITS[kind].speed_m_s * duration_s, 7.0, 0.6)
-    way = [Leg(*points[0], pause_s=1.0)]
+    stages = [Leg(*points[0], pause_s=1.0)]
     for k, point in enumerate(points[1:]):
-        way.append(Leg(*point, pause_s=float(random.uniform(2, 4)) if k % 2 == 0 else 0.0))
-    actor = Actor(kind, route(kind, tuple(way), duration_s), look(random, kind))
+        stages.append(Leg(*point, pause_s=float(random.uniform(2, 4)) if k % 2 == 0 else 0.0))
+    actor = Actor(kind, route(kind, tuple(stages), duration_s), look(random, kind))
     return furnished(random, World((actor,), roads=(path(points),), sun=sun(random)))
 
 
@@ -162,7 +162,7 @@ def turn_back(random: Generator, kind: Kind, duration_s: float) -> World:
 
 
 def corner(random: Generator) -> tuple[list[tuple[float, float]], float]:
-    """A way that turns off at a right angle after some steps, and to which side (+1: east)."""
+    """A path that turns off at a right angle after some steps, and to which side (+1: east)."""
     side = float(random.choice([-1.0, 1.0]))
     ahead = float(random.uniform(9, 12))
     return [(0.0, 0.0), (ahead, 0.0), (ahead + 1.0, side * 1.0), (ahead + 1.0, side * 60.0)], side
@@ -172,10 +172,10 @@ def wall_between(random: Generator, kind: Kind, duration_s: float) -> World:
     """The actor turns off behind a wall that hides it for about 3 s."""
     points, side = corner(random)
     actor = Actor(kind, route(kind, legs(points), duration_s), look(random, kind))
-    # The drone comes round the corner meanwhile and looks along the wall, which so hides for longer than its length.
+    # The drone comes round the corner meanwhile and looks along the wall, which then hides more than its length.
     long = 2.2 * GAITS[kind].speed_m_s
-    place = points[-1][0] - 1.3
-    blocks = wall(place, side * 6.0, long, side * math.pi / 2, 4.0)
+    north = points[-1][0] - 1.3
+    blocks = wall(north, side * 6.0, long, side * math.pi / 2, 4.0)
     return furnished(random, World((actor,), blocks, roads=(path(points),), sun=sun(random)))
 
 
@@ -184,29 +184,29 @@ def trees_between(random: Generator, kind: Kind, duration_s: float) -> World:
     points, side = corner(random)
     actor = Actor(kind, route(kind, legs(points), duration_s), look(random, kind))
     long = 1.3 * GAITS[kind].speed_m_s
-    place = points[-1][0] - 2.2
+    north = points[-1][0] - 2.2
     row: list[Tree] = []
     for k in range(4):
         east = side * (6.8 + long * k / 4)
         shift = float(random.uniform(-0.2, 0.2))
-        row.append(Tree(place + shift, east, float(random.uniform(3.6, 4.0)), 1.7, int(random.integers(6))))
-        row.append(Tree(place + shift, east + side * 0.4, 2.4, 1.3, int(random.integers(6))))
+        row.append(Tree(north + shift, east, float(random.uniform(3.6, 4.0)), 1.7, int(random.integers(6))))
+        row.append(Tree(north + shift, east + side * 0.4, 2.4, 1.3, int(random.integers(6))))
     return furnished(random, World((actor,), trees=tuple(row), roads=(path(points),), sun=sun(random)))
 
 
 def look_alike(random: Generator, kind: Kind, duration_s: float) -> World:
-    """Two others dressed as the target come toward it and cross its way within two metres."""
+    """Two others dressed as the target come toward it and cross its path within two metres."""
     points = winding(random, GAITS[kind].speed_m_s * (duration_s + 8), 9.0, 0.3)
     clothes = look(random, kind)
     target = Actor(kind, route(kind, legs(points), duration_s), clothes)
     actors = [target]
     for meet_s in (8.0, 18.0):
-        place = target.route.at(meet_s)
+        met = target.route.at(meet_s)
         side = float(random.choice([-1.0, 1.0]))
-        away = place.heading_rad + side * float(random.uniform(1.3, 2.0))
+        away = met.heading_rad + side * float(random.uniform(1.3, 2.0))
         reach, gap = meet_s * GAITS[kind].speed_m_s, float(random.uniform(0.8, 1.8))
-        north = place.north_m + gap * math.cos(place.heading_rad)
-        east = place.east_m + gap * math.sin(place.heading_rad)
+        north = met.north_m + gap * math.cos(met.heading_rad)
+        east = met.east_m + gap * math.sin(met.heading_rad)
         ends = [(north - s * math.cos(away), east - s * math.sin(away)) for s in (reach, -60.0)]
         actors.append(Actor(kind, route(kind, (Leg(*ends[0]), Leg(*ends[1])), duration_s), clothes))
     return furnished(random, World(tuple(actors), roads=(path(points),), sun=sun(random)))
@@ -242,7 +242,7 @@ def straight_back(random: Generator, kind: Kind, duration_s: float, *, speed_m_s
 def through_door(random: Generator, kind: Kind, duration_s: float, *, speed_m_s: float) -> World:
     """After 8 s at this speed the actor runs through a door into a house, and stops inside.
 
-    The house is block 0, its wall 8 s of the way ahead; block 1 is the door.
+    The house is block 0, its wall 8 s ahead; block 1 is the door.
     """
     wall_m, stop_m = 8.0 * speed_m_s, 1.0 + speed_m_s**2 / GAITS[kind].accel_m_s2  # it slows down behind the door only
     length = 2.0 * (stop_m + 1.0)

@@ -226,8 +226,8 @@ def test_a_live_flight_puts_the_scene_where_the_vehicle_is():
     vehicle.motion = replace(
         vehicle.motion, north_m=70.0 + 3 * math.cos(2.0), east_m=-30.0 + 3 * math.sin(2.0)
     )  # 3 m along its nose
-    flight.link._told.append(vehicle.motion)
-    flight.link._told.popleft()
+    flight.link._reports.append(vehicle.motion)
+    flight.link._reports.popleft()
     moved = flight.advance(0.0)
     assert (moved.north_m, moved.east_m) == pytest.approx((-9.0 + 3 * math.cos(0.1), 3 * math.sin(0.1)))
 
@@ -243,11 +243,11 @@ def test_an_actor_keeps_its_speed_and_its_sideways_acceleration(kind):
     assert steps.sum() == pytest.approx(table[-1, 4], rel=1e-6)
 
 
-def test_an_actor_stops_where_it_is_told_for_as_long():
-    way = route(Kind.WALKER, (Leg(0, 0), Leg(7, 0, pause_s=5.0), Leg(20, 0)), 30.0)
-    still = [t / 10 for t in range(300) if way.at(t / 10).speed_m_s == 0.0 and way.at(t / 10).north_m < 15]
+def test_an_actor_stops_where_it_is_reports_for_as_long():
+    path = route(Kind.WALKER, (Leg(0, 0), Leg(7, 0, pause_s=5.0), Leg(20, 0)), 30.0)
+    still = [t / 10 for t in range(300) if path.at(t / 10).speed_m_s == 0.0 and path.at(t / 10).north_m < 15]
     assert max(still) - min(still) == pytest.approx(5.0, abs=0.4)
-    assert way.at(min(still) + 1).north_m == pytest.approx(7.0, abs=0.2)
+    assert path.at(min(still) + 1).north_m == pytest.approx(7.0, abs=0.2)
 
 
 def test_settings_of_a_scenario_reach_the_camera():

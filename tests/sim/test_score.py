@@ -35,14 +35,14 @@ def rows(boxes, tracked=None, sent=HOVER, others=None, visible=None, dt=0.1, nea
     """A flight told by its true boxes; the tracker is right unless told otherwise."""
     out = []
     for k, box in enumerate(boxes):
-        motion = VehicleTruth(t_s=k * dt, down_m=-6.0)
+        vehicle = VehicleTruth(t_s=k * dt, down_m=-6.0)
         seen = (Seen(box, visible[k] if visible else 1.0), *((Seen(others[k], 1.0),) if others else ()))
         pose = ActorPose(9.0, 0.0, 0.0, 0.0, 0.0)
-        truth = FrameTruth(k, k * dt, motion, (pose,) * len(seen), seen)
+        truth = FrameTruth(k, k * dt, vehicle, (pose,) * len(seen), seen)
         nearest = near[k] if isinstance(near, list) else near
         setpoint = sent[k] if isinstance(sent, list) else sent
         out.append(
-            ScoredTick(k * dt, motion, setpoint, 0.0, "follow", tracked[k] if tracked else box, True, truth, nearest)
+            ScoredTick(k * dt, vehicle, setpoint, 0.0, "follow", tracked[k] if tracked else box, True, truth, nearest)
         )
     return out
 

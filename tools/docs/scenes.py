@@ -24,17 +24,17 @@ def panel(name: str, seed: int, t_s: float) -> np.ndarray:
     """What the camera sees from the scenario's start geometry, carried along with the target."""
     scenario = SCENARIOS[name]
     camera, _, world = build(scenario, seed, Autopilot.PX4)
-    place = world.target(t_s)
-    behind = heading_to_ned(-scenario.standoff_m, 0.0, place.heading_rad)
-    motion = VehicleTruth(
+    target = world.target(t_s)
+    behind = heading_to_ned(-scenario.standoff_m, 0.0, target.heading_rad)
+    vehicle = VehicleTruth(
         t_s=t_s,
-        north_m=place.north_m + behind[0],
-        east_m=place.east_m + behind[1],
+        north_m=target.north_m + behind[0],
+        east_m=target.east_m + behind[1],
         down_m=-scenario.height_m,
-        yaw_rad=place.heading_rad,
+        yaw_rad=target.heading_rad,
         pitch_rad=scenario.down_rad(Autopilot.PX4) - 0.45,
     )
-    image = camera._draw(motion, t_s, 0)[0]
+    image = camera._draw(vehicle, t_s, 0)[0]
     return cv2.resize(image, (480, 270), interpolation=cv2.INTER_AREA)
 
 
