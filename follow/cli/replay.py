@@ -59,7 +59,7 @@ def replay(command: ReplayCommand) -> None:
             # No meter: the motion of the camera that filmed the footage is unknown, so the image contradicts nothing.
             ticks = follow(camera, link, tracker, target, servo, safety, once(Order.FOLLOW))
             ticks = terminal.progress(ticks, footage.rounds, "replay")
-            finished = fly(ticks, recorder, terminal, score.add)
+            finished = fly(ticks, recorder, terminal.report, score.add)
             if line := score.shortfall():
                 terminal.report(line)
             if any(link.refused.values()):

@@ -103,9 +103,10 @@ def simulate(flight: FlightSpec, terminal: Terminal, *, bar: bool) -> tuple[Figu
         with link:
             ticks = follow(camera, link, tracker, target, servo, safety, once(Order.FOLLOW), meter)
             rounds = round(scenario.duration_s * max(scenario.frames_per_s, 30))
-            finished = fly(
-                terminal.progress(ticks, rounds, flight.name) if bar else ticks, recorder, terminal, true_box
-            )
+            if bar:
+                terminal.listeners.append(recorder.message)
+                ticks = terminal.progress(ticks, rounds, flight.name)
+            finished = fly(ticks, recorder, terminal.report if bar else recorder.message, true_box)
         scored = referee.figures(referee.rows, config)
         flown: Figures = {"scenario": flight.scenario, "seed": flight.seed, "autopilot": flight.autopilot.value}
         figures = recorder.close({"tracker": flight.tracker, **scored, **flown})

@@ -4,7 +4,8 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from follow.control.acquire import Acquire
-from follow.messages import NO_INSTRUCTION, Cause, Instruction, Order, Reason, Tick
+from follow.messages import NO_INSTRUCTION, Cause, Instruction, Notify, Order, Reason, Tick
+from follow.operator.mode_changes import ModeChanges
 from follow.operator.terminal import Terminal, result
 from follow.recording.recorder import FILES, Recorder, set_aside
 from follow.recording.summary import Figures
@@ -39,15 +40,19 @@ def keep_live_flight(out: Path, terminal: Terminal) -> None:
         terminal.report(f"the flight that was in {out} is now in {set_aside(out)}")
 
 
-def fly(ticks: Iterable[Tick], recorder: Recorder, terminal: Terminal, truth: Callable[[Tick], Box | None]) -> bool:
-    """Record every tick until the frames end; False if a person stopped it."""
+def fly(ticks: Iterable[Tick], recorder: Recorder, report: Notify, truth: Callable[[Tick], Box | None]) -> bool:
+    """Record every tick and report every change of mode until the frames end; False if a person stopped it."""
+    changes, finished = ModeChanges(report), True
     try:
         for tick in ticks:
             recorder.tick(tick, truth(tick))
+            changes.see(tick)
     except KeyboardInterrupt:
-        terminal.report("stopped by Ctrl-C: everything up to here is recorded")
-        return False
-    return True
+        report("stopped by Ctrl-C: everything up to here is recorded")
+        finished = False
+    if line := changes.early_end():
+        report(line)
+    return finished
 
 
 def conclude(figures: Figures, out: Path, terminal: Terminal, *, as_json: bool, finished: bool) -> None:

@@ -19,6 +19,7 @@ from typing import Protocol
 from typing_extensions import Self
 
 from follow.messages import NEVER, Cause, Instruction, Mode, Notify, Order, Reason, Tick, VehicleState
+from follow.operator.mode_changes import ModeChanges
 from follow.safety.modes import STREAMING
 
 SWITCH_ON_US = 1700  # PWM above which a switch is on; between the two it keeps its state
@@ -108,13 +109,14 @@ class Operator:
     leaving: str = ""  # why the program must end; empty: it must not
     mode: Mode = Mode.OBSERVE
     reason: Reason | None = None
-    began_t_s: float = NEVER
     state: VehicleState = field(default_factory=lambda: VehicleState(NEVER))
     remote: Remote = field(init=False)
+    changes: ModeChanges = field(init=False)
     waiting: list[tuple[Order, str]] = field(default_factory=list[tuple[Order, str]])
 
     def __post_init__(self) -> None:
         self.remote = Remote(self.channel)
+        self.changes = ModeChanges(self.report)
 
     def __call__(self) -> Instruction:
         """The instruction of this round."""
@@ -135,18 +137,13 @@ class Operator:
 
     def see(self, tick: Tick) -> None:
         """Take one round, and report a new mode or a new reason for it once."""
-        decision, before = tick.decision, (self.mode, self.reason)
+        decision = tick.decision
         if decision.mode is not self.mode and self.mode in STREAMING and decision.mode not in STREAMING:
             self.waiting.clear()
         if self.state.mode and tick.state.mode != self.state.mode:
             self.waiting.clear()
         self.mode, self.state, self.reason = decision.mode, tick.state, decision.reason
-        if self.began_t_s == NEVER:
-            self.began_t_s = tick.state.t_s
-        if (self.mode, self.reason) != before:
-            at_s = tick.state.t_s - self.began_t_s
-            where = tick.state.mode or "no known mode"
-            self.report(f"{at_s:.1f} s: {self.mode.value} ({self.reason}), vehicle in {where}")
+        self.changes.see(tick)
 
     def order(self, order: Order, by: str = "the program") -> None:
         """Queue an order; the next round gives it."""

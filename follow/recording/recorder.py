@@ -169,9 +169,7 @@ class Recorder:
 
         recording: RerunRecording | None = None
         if self._config.pictures:
-            tells_modes = self._clock is None  # in a live flight the operator's side reports each change of mode
-            quality = self._config.jpeg_quality
-            recording = RerunRecording(self._flight, self._about, quality, tells_modes=tells_modes)
+            recording = RerunRecording(self._flight, self._about, self._config.jpeg_quality)
         going = True
         while going:
             texts, scene, said, going = self._next()

@@ -13,7 +13,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
-from follow.messages import NEVER, Cause, Mode, Setpoint, Tick
+from follow.messages import NEVER, Mode, Setpoint, Tick
 from follow.recording.rows import LoggedTick
 from racf.box import Box
 from racf.track import Track
@@ -43,18 +43,15 @@ NUMBER = re.compile(r"-?\d+(\.\d+)?")
 class RerunRecording:
     """A Rerun recording in a file; use it from one thread.
 
-    `tells_modes` logs each change of mode with its reason as a message; without it the caller's messages do that.
-    `flush` and `close` raise OSError if it cannot be written.
+    Changes of mode colour a lane; why the mode changed is in the messages (`follow.operator.mode_changes`).  `flush` and `close` raise OSError if it cannot be written.
     """
 
-    def __init__(self, path: Path, about: str, jpeg_quality: int, *, tells_modes: bool = True) -> None:
+    def __init__(self, path: Path, about: str, jpeg_quality: int) -> None:
         self._path = path
-        self._tells_modes = tells_modes
         self._jpeg = [int(cv2.IMWRITE_JPEG_QUALITY), jpeg_quality]
         self._recording = rr.RecordingStream("follow-me")
         self._recording.save(path, default_blueprint=layout())
         self._mode = ""
-        self._cause: Cause | None = None
         self._found: bool | None = None
         self._notes: frozenset[str] = frozenset()
         self._shown: set[str] = set()
@@ -100,13 +97,11 @@ class RerunRecording:
             self._recording.disconnect()
 
     def _new_mode(self, scene: LoggedTick) -> None:
-        """Log a new mode, and a new cause for it."""
-        mode, reason = scene.tick.decision.mode.value, scene.tick.decision.reason
+        """Log a new mode."""
+        mode = scene.tick.decision.mode.value
         if mode != self._mode:
             self._recording.log("mode", rr.StateChange(state=mode))
-        if self._tells_modes and (mode, reason.cause) != (self._mode, self._cause):
-            self._say(scene.t_s, f"{mode}: {reason}", rr.TextLogLevel.INFO)
-        self._mode, self._cause = mode, reason.cause
+        self._mode = mode
 
     def _new_notes(self, scene: LoggedTick) -> None:
         """Log the gate's notes that the tick before did not have; a number that changes does not make a note new."""

@@ -121,25 +121,7 @@ def test_a_note_is_logged_once_however_its_number_changes(monkeypatch):
         decision = Decision(None, Mode.BRAKE, lines, Reason(Cause.STALE, "frame is old"))
         recording.tick(rerun_log.LoggedTick(n, float(n), replace(tick(n), decision=decision)))
     recording.close()
-    assert said == ["0 brake: frame is old", "1 frame is 0.20 s old", "152 frame is 0.50 s old", "152 fence"]
-
-
-def test_every_change_of_mode_is_told_once_with_its_reason(monkeypatch):
-    from follow.recording import rerun_log  # noqa: PLC0415
-
-    said: list[str] = []
-    monkeypatch.setattr(rerun_log.RerunRecording, "_say", lambda _self, _t_s, text, _level: said.append(text))
-    reasons = [Reason(Cause.STARTED), *[Reason(Cause.NOT_SEEN, seconds=n / 10) for n in range(3)], Reason(Cause.SEEN)]
-    modes = [Mode.OBSERVE, Mode.COAST, Mode.COAST, Mode.COAST, Mode.FOLLOW]
-    for tells_modes in (True, False):
-        recording = rerun_log.RerunRecording(Path("/dev/null"), "", 75, tells_modes=tells_modes)
-        for n, (mode, reason) in enumerate(zip(modes, reasons, strict=True)):
-            decided = replace(tick(n), decision=Decision(None, mode, (), reason))
-            recording.tick(rerun_log.LoggedTick(n, float(n), decided))
-        recording.close()
-        expected = ["observe: the program started", "coast: target not seen for 0.0 s", "follow: target seen"]
-        assert said == (expected if tells_modes else [])
-        said.clear()
+    assert said == ["1 frame is 0.20 s old", "152 frame is 0.50 s old", "152 fence"]
 
 
 def test_every_mode_has_a_colour_of_its_meaning():

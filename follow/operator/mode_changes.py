@@ -1,0 +1,39 @@
+"""Each change of mode as a line for a person, the same in a flight, a replay and a simulation."""
+
+from dataclasses import dataclass
+
+from follow.messages import NEVER, Mode, Notify, Reason, Tick
+from follow.safety.modes import STREAMING
+
+
+@dataclass(slots=True)
+class ModeChanges:
+    """Reports a new mode, or a new reason for it, once, with the time since the first round."""
+
+    report: Notify
+    mode: Mode = Mode.OBSERVE
+    reason: Reason | None = None
+    began_t_s: float = NEVER
+    streamed: bool = False  # whether FOLLOW has begun
+    ended: str = ""  # when the last stream of setpoints ended, and why; empty while one is sent, or before the first
+
+    def see(self, tick: Tick) -> None:
+        """Take one round."""
+        before = self.mode, self.reason
+        self.mode, self.reason = tick.decision.mode, tick.decision.reason
+        if self.began_t_s == NEVER:
+            self.began_t_s = tick.state.t_s
+        if (self.mode, self.reason) == before:
+            return
+        at_s = tick.state.t_s - self.began_t_s
+        self.report(f"{at_s:.1f} s: {self.mode.value} ({self.reason}), vehicle in {tick.state.mode or 'no known mode'}")
+        if self.mode in STREAMING:
+            self.streamed, self.ended = True, ""
+        elif before[0] in STREAMING:
+            self.ended = f"{at_s:.1f} s: {self.reason}"
+
+    def early_end(self) -> str:
+        """Why no setpoints are sent in the last round, as one line; empty while they are."""
+        if self.mode in STREAMING or self.began_t_s == NEVER:
+            return ""
+        return f"following ended early, at {self.ended}" if self.streamed else f"FOLLOW never began: {self.reason}"

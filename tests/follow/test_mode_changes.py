@@ -1,0 +1,42 @@
+"""Changes of mode as lines for a person, and the line about a flight that ended early."""
+
+import pytest
+
+from follow.messages import HOVER, NEVER, Cause, Decision, Estimate, Mode, Reason, Tick, VehicleState
+from follow.operator.mode_changes import ModeChanges
+
+UNSEEN = Estimate(NEVER, 0.0, 0.0, 1.0, 0.0)
+BEGUN = [(Mode.READY, Reason(Cause.READY)), (Mode.FOLLOW, Reason(Cause.OBEYS)), (Mode.FOLLOW, Reason(Cause.OBEYS))]
+
+
+def reported(rounds: list[tuple[Mode, Reason]]) -> tuple[list[str], str]:
+    lines: list[str] = []
+    changes = ModeChanges(lines.append)
+    for n, (mode, reason) in enumerate(rounds):
+        state = VehicleState(100.0 + n / 2, mode="OFFBOARD")
+        changes.see(Tick(None, None, state, UNSEEN, HOVER, Decision(None, mode, (), reason)))
+    return lines, changes.early_end()
+
+
+def test_every_change_is_one_line_with_the_time_since_the_first_round():
+    lost = (Mode.COAST, Reason(Cause.NOT_SEEN, seconds=0.3))
+    lines, early = reported([*BEGUN, lost, lost])
+    assert lines == [
+        "0.0 s: ready (FOLLOW can be ordered), vehicle in OFFBOARD",
+        "0.5 s: follow (the autopilot obeys), vehicle in OFFBOARD",
+        "1.5 s: coast (target not seen for 0.3 s), vehicle in OFFBOARD",
+    ]
+    assert early == ""
+
+
+@pytest.mark.parametrize(
+    ("rounds", "early"),
+    [
+        ([*BEGUN, (Mode.ENDED, Reason(Cause.LANDED))], "following ended early, at 1.5 s: the vehicle is on the ground"),
+        ([(Mode.OBSERVE, Reason(Cause.NO_HEADING))] * 2, "FOLLOW never began: the heading is invalid"),
+        ([*BEGUN, (Mode.ENDED, Reason(Cause.LANDED)), *BEGUN], ""),
+        ([], ""),
+    ],
+)
+def test_a_flight_that_sends_nothing_at_its_end_says_since_when_and_why(rounds, early):
+    assert reported(rounds)[1] == early
