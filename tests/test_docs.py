@@ -23,7 +23,9 @@ def table(page: str, heading: str) -> list[list[str]]:
     """The cells of the rows of every table below a heading."""
     section = page.split(f"\n## {heading}\n")[1].split("\n## ", maxsplit=1)[0]
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in section.splitlines() if line[:2] == "| "]
-    return [row for row in rows if row[0] not in ("column", "field", "message", "note", "file", "reason")]
+    return [
+        row for row in rows if row[0] not in ("column", "field", "message", "note", "file", "reason", "contradiction")
+    ]
 
 
 def names(cells: list[str]) -> list[str]:
@@ -39,15 +41,20 @@ def test_every_figure_is_described_once():
     assert sorted(described) == sorted(Figures.__annotations__)
 
 
+def text_of(node: ast.AST) -> str | None:
+    """A string of the program with … for a value; None for what is no string."""
+    if isinstance(node, ast.JoinedStr):
+        return "".join(str(p.value) if isinstance(p, ast.Constant) else "…" for p in node.values)
+    if isinstance(node, ast.Constant) and isinstance(node.value, str):
+        return re.sub(r"%(\.\d)?[sdfrg]", "…", node.value)
+    return None
+
+
 def spoken() -> str:
     """Every string of the program, each message as its constant parts with … for a value."""
     strings: list[str] = []
     for source in [*(ROOT / "follow").rglob("*.py"), *(ROOT / "racf").glob("*.py")]:
-        for node in ast.walk(ast.parse(source.read_text())):
-            if isinstance(node, ast.JoinedStr):
-                strings.append("".join(str(p.value) if isinstance(p, ast.Constant) else "…" for p in node.values))
-            elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-                strings.append(re.sub(r"%\w", "…", node.value))
+        strings += [text for node in ast.walk(ast.parse(source.read_text())) if (text := text_of(node)) is not None]
     return "\n".join(" ".join(string.split()) for string in strings)
 
 
@@ -64,6 +71,39 @@ def test_every_message_of_the_page_is_one_that_the_program_gives():
         for message in names(row[:1]):
             for part in message.split("…"):
                 assert part.strip(" ,;:()") in said, message
+
+
+def reported() -> set[str]:
+    """Every message that a flight, a replay or a simulation reports or logs, with … for a value."""
+    messages: set[str] = set()
+    for source in (ROOT / "follow").rglob("*.py"):
+        for node in ast.walk(ast.parse(source.read_text())):
+            if not isinstance(node, ast.Call) or not node.args or source.name == "doctor.py":
+                continue
+            called = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
+            if called in ("report", "_report", "warning", "info") and (text := text_of(node.args[0])):
+                messages.add(text)
+    return messages
+
+
+def test_every_message_that_is_reported_is_on_the_page():
+    page, messages = " ".join(AFTER.split()), reported()
+    assert len(messages) > 20
+    missing = [text for text in messages if any(part.strip(" ,;:()") not in page for part in text.split("…"))]
+    assert not missing
+
+
+def test_every_contradiction_is_described_once():
+    said = spoken()
+    described = names([row[0] for row in table(AFTER, "Contradictions")])
+    assert all(part.strip(" ()") in said for text in described for part in text.split("…"))
+    returned: list[str] = []
+    for name in ("safety/consistency.py", "control/ground.py"):
+        for node in ast.walk(ast.parse((ROOT / "follow" / name).read_text())):
+            if isinstance(node, ast.JoinedStr) and len(text := text_of(node) or "") > 40:
+                returned.append(text)
+    ends = sorted(text.split("…")[-1] for text in returned)
+    assert ends == sorted(text.split("…")[-1] for text in described)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))

@@ -43,7 +43,7 @@ NUMBER = re.compile(r"-?\d+(\.\d+)?")
 class RerunRecording:
     """A Rerun recording in a file; use it from one thread.
 
-    Changes of mode colour a lane; why the mode changed is in the messages (`follow.operator.mode_changes`).  `flush` and `close` raise OSError if it cannot be written.
+    The mode is a lane; why it changed is in the messages.  `flush` and `close` raise OSError if it cannot be written.
     """
 
     def __init__(self, path: Path, about: str, jpeg_quality: int) -> None:
