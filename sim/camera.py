@@ -23,6 +23,7 @@ from sim.scene.rendering import Scene, Seen
 from sim.scene.world import ActorPose, World
 
 LENS_M = 0.2  # height of the lens of a landed vehicle; a lens in the plane of the ground sees a line
+ON_GROUND_M = 0.5  # a vehicle lower than this has not taken off
 ROUNDS_PER_S = 30.0  # at least, with or without a frame
 EXTRAPOLATED_S = 0.25  # at most: telemetry comes 10 times a second or faster; a stalled vehicle's image stands still
 
@@ -151,9 +152,14 @@ class SceneCamera:
         image, seen = self._draw(vehicle, 0.0, 0)
         if seen[0].box is None or seen[0].visible <= 0.0:
             down_deg, height_m = math.degrees(self.settings.down_rad), max(0.0, vehicle.height_m)
+            helps = (
+                "the vehicle stands on the ground: start the simulated autopilot with --height-m 6"
+                if height_m < ON_GROUND_M
+                else "fly higher, or turn the camera: raise camera.down_deg only with a smaller servo.standoff_m"
+            )
             raise ValueError(
                 f"the target is not in the first image, seen from {height_m:.1f} m above the ground by a camera "
-                f"{down_deg:.0f} degrees below the nose: fly higher, or turn the camera"
+                f"{down_deg:.0f} degrees below the nose: {helps}"
             )
         return Frame(image, vehicle.t_s, 0), seen[0].box
 

@@ -30,7 +30,7 @@ from follow.link.connection import MavlinkLink, connect
 from follow.link.signing import Signing
 from follow.link.tlog import Tlog
 from follow.messages import Autopilot, Notify, Tick
-from follow.operator.authority import Operator
+from follow.operator.authority import Keys, Operator
 from follow.operator.terminal import Terminal
 from follow.recording.recorder import Recorder, set_aside
 from follow.recording.summary import Figures
@@ -125,10 +125,12 @@ def fly_live(command: RunCommand) -> None:
     log.setLevel(logging.INFO)
     terminal.report(f"tracker warm after {warm_up():.1f} s")
     with contextlib.ExitStack() as recording:  # outlives the link, which says how it left the vehicle
+        keys = recording.enter_context(Keys())  # from now on keys are read, not echoed
         signing = Signing(command.signing_key) if command.signing_key else None
         starting = recording.enter_context(starting_log(command.out))
         with connect(command.link, command.system_id, signing=signing, tlog=Tlog(starting)) as link:
-            flight = prepare(command, link, terminal.report)
+            flight = prepare(command, link, refusing_early(keys, terminal.report))
+            keys.refuse_early(terminal.report)
             recorder = recording.enter_context(begin_recording(command, starting, terminal, early))
             recorder.settings(as_toml(command.config, flight.seen.config))
             fly_prepared(command, flight, link, recorder, terminal.report)
@@ -137,6 +139,16 @@ def fly_live(command: RunCommand) -> None:
         figures = recorder.close({**figures, **flight.seen.score()})
     log.removeHandler(forwarder)
     conclude(figures, command.out, terminal, as_json=command.json, finished=True)
+
+
+def refusing_early(keys: Keys, report: Notify) -> Notify:
+    """`report`, which first refuses the keys that were typed before there is a flight to order."""
+
+    def say(line: str) -> None:
+        keys.refuse_early(report)
+        report(line)
+
+    return say
 
 
 @dataclass(frozen=True, slots=True)

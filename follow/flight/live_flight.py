@@ -22,7 +22,7 @@ from follow.link import Link
 from follow.link.connection import MavlinkLink
 from follow.loop import BoxTracker, Controller, ImageMeter, SetpointGate, TargetEstimator, follow
 from follow.messages import HOVER, Cause, Estimate, Mode, Notify, Order, Reason, Release, Tick
-from follow.operator.authority import Keys, Operator, signals
+from follow.operator.authority import KEYS_HELP, Keys, Operator, signals
 
 ROUND_S = 0.05  # 20 setpoints a second while ramping down: the usual rate for either autopilot
 LEAVE_S = 10.0  # longer than the ramp from any speed (12 m/s at 2.5 m/s2 and the gate's grace period: 6.5 s)
@@ -104,6 +104,8 @@ def fly(
     why = "an error"
     with signals(operator), Keys() as keys:
         service.ready()
+        if keys.are_there:
+            operator.report(KEYS_HELP)
         try:
             for tick in taking_and_giving(loop, p.link):
                 record(tick)

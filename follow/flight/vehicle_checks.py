@@ -89,7 +89,7 @@ def check_signing(client: MavlinkClient, signs: bool, reach: Reach) -> Finding:
 def check_sending(unsent: int) -> Finding:
     """Whether our packets leave."""
     if unsent:
-        text = f"{unsent} packets could not be sent"
+        text = f"{unsent} {'packet' if unsent == 1 else 'packets'} could not be sent"
         return Finding("sending", Health.WARN, text, "a faster link, or check its cable and address")
     return Finding("sending", Health.OK, "every packet left")
 

@@ -155,7 +155,9 @@ class MavlinkLink:
                 self._tlog.write(packet, time.time())
         told_s, told = self._unsent_told
         if self.unsent > told and time.monotonic() - told_s > UNSENT_EVERY_S:
-            log.warning("%d packets could not be sent: the link is full or broken", self.unsent - told)
+            lost = self.unsent - told
+            count = "1 packet" if lost == 1 else f"{lost} packets"
+            log.warning("%s could not be sent: the link is full or broken", count)
             self._unsent_told = time.monotonic(), self.unsent
 
     def _leave(self) -> None:

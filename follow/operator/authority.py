@@ -243,16 +243,41 @@ class Keys:
 
     def read_into(self, operator: Operator) -> None:
         """Pass the keys typed since the last call to the operator."""
-        if self._file is None or not select.select([self._file], [], [], 0)[0]:
-            return
-        try:
-            typed = os.read(self._file, 64)
-        except OSError:  # the terminal was closed; SIGHUP reports it
-            typed, self._file = b"", None
-        for key in typed.decode(errors="replace").lower():
+        for key in self.typed():
             if key == "q":
                 operator.leave("key q")
             elif key in KEYS:
-                operator.order(KEYS[key], "the space bar" if key == " " else f"key {key}")
+                operator.order(KEYS[key], name_of(key))
             elif key in "h?":
                 operator.report(KEYS_HELP)
+
+    def refuse_early(self, report: Notify) -> None:
+        """Refuse in words the keys typed before there is a flight to order.  Raises KeyboardInterrupt for `q`."""
+        for key in dict.fromkeys(self.typed()):
+            if key == "q":
+                report(f"leaving: {name_of(key)}")
+                raise KeyboardInterrupt
+            if key in KEYS:
+                report(f"not ready yet: {name_of(key)} orders nothing")
+            elif key in "h?":
+                report(KEYS_HELP)
+
+    def typed(self) -> str:
+        """The keys typed since the last call, in lower case."""
+        if self._file is None or not select.select([self._file], [], [], 0)[0]:
+            return ""
+        try:
+            return os.read(self._file, 64).decode(errors="replace").lower()
+        except OSError:  # the terminal was closed; SIGHUP reports it
+            self._file = None
+            return ""
+
+    @property
+    def are_there(self) -> bool:
+        """Whether standard input is a terminal."""
+        return self._file is not None
+
+
+def name_of(key: str) -> str:
+    """A key as messages name it."""
+    return "the space bar" if key == " " else f"key {key}"

@@ -224,6 +224,13 @@ def test_a_recorded_file_flown_with_another_lens_and_delay_pins_nothing_that_fol
     assert told["camera"]["down_deg"] == pytest.approx(math.degrees(mount.down_rad))
 
 
+def test_a_target_outside_the_first_image_leaves_no_folder_and_the_message_says_what_helps(capfd, brief, tmp_path):
+    status, out, err = follow(capfd, "sim", brief, "--camera.down-deg", "-30", "--out", tmp_path / "out")
+    assert (status, out) == (1, "")
+    assert "raise camera.down_deg only with a smaller servo.standoff_m" in err
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.parametrize("command", ["sim", "replay"])
 def test_a_refused_start_leaves_the_last_flight_as_it_is(capfd, brief, footage, tmp_path, command):
     what = (brief,) if command == "sim" else (footage, "--target", "309,192,22,48")

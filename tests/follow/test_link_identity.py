@@ -205,7 +205,15 @@ def test_packets_that_cannot_be_sent_are_counted_and_reported(caplog):
         for _ in range(50):
             link.send(HOVER)
     assert link.unsent >= 50
-    assert len([record for record in caplog.records if "could not be sent" in record.message]) == 1
+    (said,) = [record.message for record in caplog.records if "could not be sent" in record.message]
+    assert said == "1 packet could not be sent: the link is full or broken"
+
+
+def test_packets_before_the_vehicles_address_is_known_are_not_lost():
+    link = MavlinkLink(Mailbox())
+    link.state()
+    assert link._transport.sent  # our heartbeat
+    assert link.unsent == 0
 
 
 def test_a_signed_link_ignores_unsigned_strangers(tmp_path):

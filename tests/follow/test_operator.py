@@ -271,3 +271,24 @@ def test_a_terminal_that_is_gone_is_no_error(monkeypatch):
             keys.read_into(d.operator)
             keys.read_into(d.operator)
         assert not d.operator.waiting
+
+
+def test_an_early_key_is_refused_in_words_and_not_echoed(monkeypatch):
+    ours, theirs = pty.openpty()
+    lines: list[str] = []
+    with open(ours, "wb", buffering=0) as person, open(theirs) as terminal:
+        monkeypatch.setattr("sys.stdin", terminal)
+        with Keys() as keys:
+            assert keys.are_there
+            assert not termios.tcgetattr(theirs)[3] & termios.ECHO
+            person.write(b"fxf ")
+            keys.refuse_early(lines.append)
+            keys.refuse_early(lines.append)
+            assert lines == [
+                "not ready yet: key f orders nothing",
+                "not ready yet: the space bar orders nothing",
+            ]
+            person.write(b"q")
+            with pytest.raises(KeyboardInterrupt):
+                keys.refuse_early(lines.append)
+        assert termios.tcgetattr(theirs)[3] & termios.ECHO

@@ -107,7 +107,10 @@ def test_the_camera_of_a_vehicle_on_the_ground_draws_and_says_in_one_sentence_th
     frame = next(camera.frames())
     assert frame is not None
     assert frame.image.std() > 5.0
-    with pytest.raises(ValueError, match=r"not in the first image, seen from 0\.0 m .* camera 27 degrees below"):
+    said = (
+        r"not in the first image, seen from 0\.0 m .* camera 27 degrees below .* stands on the ground: .* --height-m 6"
+    )
+    with pytest.raises(ValueError, match=said):
         camera.first()
 
 
