@@ -1,6 +1,7 @@
 """`follow replay`: footage, the virtual camera over it, and the link that only pretends to fly."""
 
 import math
+from dataclasses import replace
 
 from follow.camera import Camera
 from follow.camera.video import ReplayCamera, is_live, open_replay
@@ -24,6 +25,7 @@ from racf.box import Box
 from racf.commandline import UsageError
 
 REPLAY_HEIGHT_M = 10.0  # of the pretended vehicle: a common follow-me height
+NEVER_S = 1e9  # longer than any footage
 PTZ_SHARE = 3  # the virtual camera shows 1 / 3 of the footage's width and height, pixel for pixel
 
 
@@ -51,7 +53,9 @@ def replay(command: ReplayCommand) -> None:
         config = resolve(config, lens, config.camera.down_rad, 0.0)  # a file's frames do not come late
         target = FootageTarget(Target(lens, config.camera.down_rad, config.target), moves_view=command.ptz)
         servo = Servo(config.camera.down_rad, config.servo)
-        tracker, safety = acquire(command.tracker, box), Safety(config.limits)
+        # The window's vehicle stays where it is whatever it is told: that is no disobedience.
+        limits = replace(config.limits, disobey_after_s=NEVER_S) if command.ptz else config.limits
+        tracker, safety = acquire(command.tracker, box), Safety(limits)
         keep_live_flight(command.out, terminal)
         with link, Recorder(command.out, config.record, terminal.report, waits=True, about=about) as recorder:
             terminal.listeners.append(recorder.message)

@@ -145,7 +145,8 @@ def test_an_external_contradiction_brakes_and_then_ends():
     for i in range(1, 150):
         now = t_s + i * DT
         state = flying(now, **obeyed(safety))
-        decision = safety.allow(Setpoint(2.0), seen(now), state, now, contradiction="the image does not move")
+        safety.consistency.words, safety.consistency.until_s = "the image does not move", math.inf
+        decision = safety.allow(Setpoint(2.0), seen(now), state, now)
         modes.append(decision.mode)
     assert list(dict.fromkeys(modes)) == [Mode.BRAKE, Mode.ENDED]
     assert str(decision.reason) == "stopped: the image does not move"

@@ -137,7 +137,7 @@ def test_a_walker_hidden_for_a_while_is_taken_up_again(seconds, seen_modes):
     ticks, (in_view, *_) = flown("walker", hidden_s=(12.0, 12.0 + seconds))
     assert {tick.decision.mode for tick in ticks} == seen_modes
     assert ticks[-1].decision.mode == "follow"
-    assert in_view >= 0.99
+    assert in_view >= 0.97  # unseen, the vehicle brakes to stand before the last sighting: the walker gets ahead
 
 
 def test_what_is_sent_ramps_within_the_limits():

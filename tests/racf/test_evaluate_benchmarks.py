@@ -141,7 +141,7 @@ BROKEN = {
     ),
     "the annotation is empty": (
         lambda root: (root / "walk" / "groundtruth_rect.txt").write_text(""),
-        r"groundtruth_rect\.txt: a file of boxes has a line a frame; this one is empty",
+        r"groundtruth_rect\.txt: a file of boxes has a line for each frame; this one is empty",
     ),
     "there is no sequence": (
         lambda root: (root / "walk" / "groundtruth_rect.txt").unlink(),
