@@ -1,8 +1,8 @@
-"""When setpoints arrive: `follow run` at 30 pictures/s, recording, against `python -m sim.autopilot` over UDP.
+"""When setpoints arrive: `follow run` at 30 frames/s, recording, against `python -m sim.autopilot` over UDP.
 
     python -m benchmarks.setpoint_timing --seconds 60 [--autopilot ardupilot] [--let-cores-sleep]
 
-A relay between the two notes when each setpoint passes.  Prints the intervals and the time from a picture to its
+A relay between the two notes when each setpoint passes.  Prints the intervals and the time from a frame to its
 setpoint; exits 1 when their p99 is above 60 ms or one is above 150 ms.  It also prints how much of this machine's
 time its host gave to others, and the intervals during which it gave none: on a shared machine that decides.
 The cores are kept awake by processes of the lowest priority, for a virtual machine that sleeps is woken late; a real
@@ -36,7 +36,7 @@ Readings = list[tuple[float, int]]
 
 
 def watched(seconds: float) -> Readings:
-    """Read on for so long."""
+    """Read for this many seconds."""
     readings: Readings = []
     end = time.monotonic() + seconds
     while time.monotonic() < end:
@@ -71,8 +71,8 @@ def main() -> int:
         with (Path(out) / "ticks.csv").open() as file:
             rows = [row for row in csv.DictReader(file) if row["frame"] and row["setpoint_forward_m_s"]]
     intervals = 1e3 * np.diff(times)
-    pictures = np.array([float(row["frame_t_s"]) for row in rows])  # one machine, one monotonic clock
-    latency = [1e3 * (t - pictures[i - 1]) for t in times if (i := int(np.searchsorted(pictures, t))) > 0]
+    frames = np.array([float(row["frame_t_s"]) for row in rows])  # one machine, one monotonic clock
+    latency = [1e3 * (t - frames[i - 1]) for t in times if (i := int(np.searchsorted(frames, t))) > 0]
     p50, p99 = np.percentile(intervals, (50, 99))
     print(f"{len(times)} setpoints in {options.seconds:g} s")
     print(f"{os.cpu_count()} cores, {taken:.0%} of their time taken by the host")
@@ -81,7 +81,7 @@ def main() -> int:
     if len(quiet):
         p99_quiet = np.percentile(quiet, 99)
         print(f"the {len(quiet)} while the host took nothing: p99 {p99_quiet:.1f}, largest {quiet.max():.1f}")
-    print("picture to setpoint ms: p50 {:.1f}, p99 {:.1f}".format(*np.percentile(latency, (50, 99))))
+    print("frame to setpoint ms: p50 {:.1f}, p99 {:.1f}".format(*np.percentile(latency, (50, 99))))
     over = sum(1 for a, b in itertools.pairwise(times) if 1e3 * (b - a) > LARGEST_MS)
     return 1 if p99 > P99_MS or over else 0
 

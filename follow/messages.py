@@ -31,7 +31,7 @@ class Autopilot(str, Enum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """One picture: uint8, (rows, columns, 3) in BGR or (rows, columns) in grey, taken at `t_s`."""
+    """One image and its time: uint8, (rows, columns, 3) in BGR or (rows, columns) in grey, taken at `t_s`."""
 
     image: NDArray[np.uint8]
     t_s: float
@@ -162,7 +162,7 @@ class Estimate:
     target's own over the ground, local NED, m/s, with its covariance (north², north·east, east²), m²/s².
 
     `ground_below_m` is how far the ground under the target lies below the vehicle, with its standard deviation, and
-    `target_height_m` how far the target's top stands above that ground.  `size_m` is its sqrt(width x height) with the
+    `target_height_m` how far the target's top is above that ground.  `size_m` is its sqrt(width x height) with the
     standard deviation.  Each is inf where it is not known.
 
     `seen_t_s` is the time of the last frame in which the target was found; `seen_range_m` and `seen_azimuth_rad` lead

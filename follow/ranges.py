@@ -1,4 +1,4 @@
-"""The one rule that most settings obey: a finite number, above zero where nothing else is said."""
+"""The one rule that most settings obey: a finite number, above zero unless the setting may be zero."""
 
 import math
 from collections.abc import Collection

@@ -1,4 +1,4 @@
-"""The loop closed over the scenarios' worlds and vehicles, with a tracker that knows the truth but for some noise.
+"""The loop closed over the scenarios' worlds and vehicles, with a tracker that knows the truth, with some noise.
 
 Nothing is drawn, so that servo, target estimate and gate are judged alone.
 """
@@ -42,7 +42,7 @@ class KnownScene:
         self.track = None
 
     def look(self, motion):
-        """The track of a picture taken now, and a row of what is true of it."""
+        """The track of a frame taken now, and a row of what is true of it."""
         place, middle = self.world.target(motion.t_s), MIDDLE_M[self.scenario.kind]
         rotation = camera_to_ned(self.down_rad, motion.roll_rad, motion.pitch_rad, motion.yaw_rad)
         lens_ned = np.array([motion.north_m, motion.east_m, motion.down_m])

@@ -56,7 +56,7 @@ def test_a_target_crossing_to_the_right_turns_right_at_the_rate_of_its_bearing()
 
 
 def watched_for(seconds, **state):
-    """A servo that has seen a target 3 m too far for so long, and its desired setpoint now."""
+    """A servo that has seen a target 3 m too far for that time, and its desired setpoint now."""
     servo = Servo(DOWN)
     for n in range(round(seconds / 0.05)):
         t_s = 0.05 * n
@@ -97,7 +97,7 @@ def test_a_target_never_seen_asks_for_nothing():
 
 
 def fly(config, target, seconds, start=(0.0, 0.0, 0.0)):
-    """A vehicle that does at once what is wished and knows where the target is: (north, east, yaw) at the end.
+    """A vehicle that does at once what is desired and knows where the target is: (north, east, yaw) at the end.
 
     `target` is a function of time to (north, east).
     """

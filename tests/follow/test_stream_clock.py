@@ -1,4 +1,4 @@
-"""When a stream's pictures were taken: what the way held up is known, whatever the stamps count from."""
+"""When a stream's frames were taken: what the way held up is known, whatever the stamps count from."""
 
 import itertools
 
@@ -32,7 +32,7 @@ def test_jitter_of_the_way_is_taken_off_once_a_picture_came_without(seed):
     assert len(given) == sum(came >= arrivals[0] + SETTLE_S for came in arrivals)
     for t, when, came in given:
         assert t == pytest.approx(when + 0.08, abs=1e-6), "the way's least, and nothing of what held it up"
-        assert t <= came, "no picture is from the future"
+        assert t <= came, "no frame is from the future"
 
 
 def test_a_backlog_keeps_the_times_at_which_it_was_taken():
@@ -47,7 +47,7 @@ def test_a_backlog_keeps_the_times_at_which_it_was_taken():
 
 
 def test_what_waited_while_a_stream_was_opened_is_not_given():
-    """A second and a half of pictures is there at once, then they come as they are taken."""
+    """A second and a half of frames is there at once, then they come as they are taken."""
     exposed = PERIOD_S * np.arange(200)
     arrivals = np.maximum(exposed, 1.5 + 5e-3 * np.arange(200))
     times = taken(exposed, arrivals)

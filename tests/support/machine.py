@@ -25,7 +25,7 @@ def awake() -> Iterator[list[int]]:
     """Keep the cores from sleeping, by processes (their ids are given) that take only the time which nobody wants.
 
     A virtual machine's sleeping core is woken when its host comes to it, on a busy one tens of milliseconds late, and
-    programs that wait for pictures sleep and wake all the time.  In eight pairs of runs side by side the host took 1 to
+    programs that wait for frames sleep and wake all the time.  In eight pairs of runs side by side the host took 1 to
     37 % of the time with the cores awake, and 17 to 51 % with them asleep.
     """
     cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "SCHED_IDLE") else []
