@@ -39,7 +39,8 @@ class TrackCommand:
     overlay: Path | None = None
     """Video file (.mp4, .avi or .mkv) to write, with the box, its confidence and the annotation drawn on each frame."""
     tracker: str = "racf"
-    """racf, racf-, racf--, bacf, arcf-hc with settings (racf,robust); csrt, kcf, mil, nano, vit; or module:Class."""
+    """racf, racf-, racf--, bacf, arcf-hc with settings; csrt, kcf, mil, nano, vit; or module:Class.
+    The default is the paper's; follow flies with racf,robust."""
     set: Many = ()
     """A setting of the tracker, key=value (key alone: true).  Can be given several times."""
 
@@ -55,7 +56,8 @@ class EvalCommand:
     tracker: Many = ()
     """A tracker to run.  Ours, with settings: racf, racf-, racf--, bacf, arcf-hc; for example racf,robust.
     OpenCV's: csrt, kcf, mil, nano,backbone=FILE,neckhead=FILE, vit,net=FILE.  Your own: module:Class.
-    Can be given several times; paired differences are to the first.  By default racf, unless boxes are imported."""
+    Can be given several times; paired differences are to the first.  By default racf, the paper's,
+    unless boxes are imported; follow flies with racf,robust."""
     imports: Annotated[Many, tyro.conf.arg(name="import")] = ()
     """Stored boxes to compare with: NAME=DIR, DIR for all trackers in it, or the --out folder of an evaluation."""
     only: Many = ()
@@ -127,6 +129,8 @@ def track(command: TrackCommand) -> None:
     """`racf track`."""
     if command.out.suffix == ".csv":
         raise UsageError(f"--out is the text file of boxes (boxes.txt); {command.out} is where the confidence goes")
+    if command.out.is_dir():
+        raise UsageError(f"--out must be a file for the boxes; {command.out} is a folder")
     if not command.source.exists():
         raise UsageError(f"{command.source} is neither a folder of images nor a video file")
     if command.truth is not None and not command.truth.is_file():
@@ -153,6 +157,8 @@ def track(command: TrackCommand) -> None:
 
 def evaluate_command(command: EvalCommand) -> None:
     """`racf eval`."""
+    if command.out is not None and command.out.exists() and not command.out.is_dir():
+        raise UsageError(f"--out must be a folder; {command.out} is a file")
     evaluation = evaluate(
         command.root,
         benchmark=command.benchmark,

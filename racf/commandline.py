@@ -20,8 +20,14 @@ __all__ = ["UsageError", "guarded", "parse", "run"]
 
 CommandT = TypeVar("CommandT")
 
-_PARSING = re.compile(r"^Error parsing \S+: ")  # before what a dataclass of ours says itself
-_FRAME = re.compile(r"[─-╿]+")  # the block of box-drawing characters
+_PARSING = re.compile(r"^Error parsing (?!-)\S+: ")  # before what a dataclass of ours says itself
+_VALUE = re.compile(
+    r"^Error parsing (-\S+): (?:could not convert string to (float)|invalid literal for int\(\).*): (.*)$"
+)
+_OPTION = re.compile(r"^Error parsing (-\S+): (.*)$")
+_CHOICE = re.compile(r"^invalid choice (.+) for argument '(\S+)'\. Expected one of \((.*)\)\.$")
+_UNKNOWN = re.compile(r"^Unrecognized options: (.*)$")
+_FRAME = re.compile(r"[─-╿]+|-{5,}")  # the block of box-drawing characters; dashes where the output is not UTF-8
 
 
 def run(
@@ -81,15 +87,42 @@ def parse(
 
 
 def one_line(framed: str) -> str:
-    """The sentence inside the frame that tyro draws around an error, without its title and footer."""
+    """The sentence in the frame that tyro draws around an error: option, rule, value, and the nearest known option."""
     said: list[str] = []
-    for line in framed.splitlines():
+    lines = framed.splitlines()
+    if len(lines) > 1 and set(lines[1].strip()) == {"-"}:  # without box characters: a title over a rule
+        lines = lines[2:]
+    for line in lines:
         if "╭" in line:  # ╭: the frame's top edge, which carries the title
             continue
         if "├" in line or (not _FRAME.sub("", line).strip() and said):  # a rule: what follows is the footer
             break
         said.append(_FRAME.sub(" ", line).strip())
-    return _PARSING.sub("", " ".join(" ".join(said).split()))
+    text = " ".join(" ".join(said).split())
+    if found := _VALUE.match(text):
+        return f"{found[1]} must be a {'' if found[2] else 'whole '}number, not {found[3]}"
+    if found := _OPTION.match(text):
+        return f"{found[1]}: {found[2]}"
+    if found := _CHOICE.match(text):
+        choices = sorted(choice for choice in re.findall(r"'([^']*)'", found[3]) if choice != "None")
+        return f"{found[2]} must be one of {', '.join(choices)}, not {found[1]}"
+    if found := _UNKNOWN.match(text):
+        return _unknown(found[1].split(", "), framed)
+    return _PARSING.sub("", text)
+
+
+def _unknown(words: Sequence[str], framed: str) -> str:
+    """What to say of words that tyro does not know; `framed` also holds its suggestions."""
+    footer = " ".join(_FRAME.sub(" ", framed).split())
+    options = [word for word in words if word.startswith("-")]
+    if options:
+        near = re.search(r"Perhaps you meant: (--\S+)", footer)
+        also = f"; the nearest is {near[1].rstrip(',')}" if near else "; --help lists the options"
+        return f"there is no option {' or '.join(options)}{also}"
+    commands = re.search(r"Available subcommands: (.*?) For full helptext", footer)
+    if commands:
+        return f"there is no command {words[0]!r}; the commands are {commands[1]}"
+    return f"{' '.join(words)!r} is one word too many; --help shows what is expected"
 
 
 def _complain(prog: str, error: object, status: int) -> int:

@@ -40,7 +40,8 @@ class ReplayCommand:
     fps: float | None = None
     """Frame rate, 1/s. Default: what the video says; for a folder what its name says, else 30."""
     tracker: str = TRACKER
-    """Tracker: racf, racf-, racf-- (the fastest), bacf, arcf-hc or OpenCV's mil; settings follow after commas."""
+    """Tracker: racf, racf-, racf-- (the fastest), bacf, arcf-hc; OpenCV's csrt, kcf, mil, nano, vit; or your own
+    module:Class. Settings follow after commas: `racf` alone is the paper's, the default of the program racf."""
     autopilot: Autopilot = Autopilot.PX4
     """Autopilot whose rules the pretended vehicle obeys."""
     out: Path = Path("out/replay")
@@ -74,7 +75,8 @@ class SimCommand:
     list: bool = False
     """Print the names of the scenarios and end."""
     tracker: str = TRACKER
-    """Tracker: racf, racf-, racf-- (the fastest), bacf, arcf-hc or OpenCV's mil; settings follow after commas."""
+    """Tracker: racf, racf-, racf-- (the fastest), bacf, arcf-hc; OpenCV's csrt, kcf, mil, nano, vit; or your own
+    module:Class. Settings follow after commas: `racf` alone is the paper's, the default of the program racf."""
     out: Path | None = None
     """Output folder: flight.rrd, ticks.csv, settings.toml, summary.json and flight.png; with --all one folder for each
     flight, and all.txt. Default: out/sim/SCENARIO, with --all out/sim."""
@@ -130,7 +132,8 @@ class RunCommand:
     seed: int = 0
     """Seed of a drawn scene, 0 or more."""
     tracker: str = TRACKER
-    """Tracker: racf, racf-, racf-- (the fastest), bacf, arcf-hc or OpenCV's mil; settings follow after commas."""
+    """Tracker: racf, racf-, racf-- (the fastest), bacf, arcf-hc; OpenCV's csrt, kcf, mil, nano, vit; or your own
+    module:Class. Settings follow after commas: `racf` alone is the paper's, the default of the program racf."""
     out: Path = Path("out/run")
     """Output folder: flight.rrd, flight.tlog, ticks.csv, settings.toml and summary.json."""
     json: bool = False
@@ -155,7 +158,8 @@ class RunCommand:
 class DoctorCommand:
     """Check camera, tracker, link, autopilot and machine, and say how to fix them.
 
-    - Exit status 0: fit to fly; 1: a check is red.
+    - Give --camera, --link or both.
+    - Exit status 0: nothing checked is red; 1: a check is red; 2: wrong use.
     - Nothing on the vehicle is changed.
     """
 
@@ -176,6 +180,8 @@ class DoctorCommand:
 
     def __post_init__(self) -> None:
         require_system_id(self.system_id)
+        if self.camera is None and self.link is None:
+            raise ValueError("nothing to check: give --camera SOURCE, --link ADDRESS or both")
 
 
 @dataclass(frozen=True, slots=True)

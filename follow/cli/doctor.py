@@ -22,12 +22,15 @@ from follow.link.signing import Signing
 from follow.messages import Frame
 from follow.operator.terminal import Terminal
 from racf.box import Box
+from racf.commandline import UsageError
 
 BOX_SHARE = 6  # the timed target is a sixth of the image's height, as a person some 10 m away is
 
 
 def diagnose(command: DoctorCommand) -> None:
     """Look, report each finding, and raise NotFitError when one of them is red."""
+    if command.out.exists() and not command.out.is_dir():
+        raise UsageError(f"--out must be a folder; {command.out} is a file")
     terminal = Terminal()
     findings: list[Finding] = []
 

@@ -33,6 +33,8 @@ def replay(command: ReplayCommand) -> None:
     """`follow replay`."""
     if is_live(command.source):
         raise UsageError(f"replay plays files, not the live source {command.source!r}: use follow run")
+    if command.truth is not None and not command.truth.is_file():
+        raise UsageError(f"--truth must be a file of annotations; {command.truth} is not a file")
     truth = Annotations(command.truth) if command.truth else None
     box = box_of(command.target) if command.target else truth.start if truth else None
     if box is None:

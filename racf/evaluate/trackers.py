@@ -48,11 +48,8 @@ class TrackerSpec:
             peer_settings(self.name, dict(self.settings))
         elif ":" in self.name:
             own.build(self.name, dict(self.settings))
-        elif self.name in PRESETS:
-            self.params()
         else:
-            known = ", ".join([*PRESETS, *OPENCV])
-            raise ValueError(f"tracker {self.name!r} is not known; known are {known}, and your own as module:Class")
+            self.params()
 
     def with_settings(self, settings: list[str]) -> Self:
         """The same with more settings, each `key=value`, or `key` alone for true."""
@@ -69,6 +66,9 @@ class TrackerSpec:
 
     def params(self) -> Params:
         """The parameters of one of ours; raises ValueError for a name or a setting that is not known."""
+        if self.name not in PRESETS:
+            known = ", ".join([*PRESETS, *OPENCV])
+            raise ValueError(f"tracker {self.name!r} is not known; known are {known}, and your own as module:Class")
         return preset(self.name).with_settings(dict(self.settings))
 
     def fingerprint(self) -> str:

@@ -342,5 +342,6 @@ def test_the_command_is_red_in_one_line_for_what_cannot_be_opened(tmp_path, caps
     assert "not fit to fly: camera, link" in err
 
 
-def test_the_command_is_green_without_anything_to_look_at(tmp_path):
-    assert main(["doctor", "--out", str(tmp_path)]) == 0
+def test_the_command_with_nothing_to_check_is_wrong_use(tmp_path, capsys):
+    assert main(["doctor", "--out", str(tmp_path)]) == 2
+    assert "give --camera SOURCE, --link ADDRESS or both" in capsys.readouterr().err

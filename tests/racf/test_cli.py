@@ -118,6 +118,11 @@ WRONG = {
     "a box of three numbers": (("track", "DATA/Bench/one", "--init", "1,2,3", "--out", "x.txt"), "1,2,3"),
     "a source that is not there": (("track", "nowhere.mp4", "--init", "1,2,3,4", "--out", "x.txt"), "nowhere.mp4"),
     "a tracker of OpenCV's to measure": (("bench", "DATA", "--tracker", "racf", "--tracker", "mil"), "not mil"),
+    "a folder for the boxes": (
+        ("track", "DATA/Bench/one", "--init", "1,2,3,4", "--out", "DATA"),
+        "--out must be a file",
+    ),
+    "a command nobody knows": (("trak",), "the commands are track, eval, bench"),
     "an option nobody knows": (("eval", "DATA", "--jason"), "--jason"),
 }
 
