@@ -69,11 +69,11 @@ class Referee:
         return self.rows[sent[0] : sent[-1] + 1] if sent else []
 
     def figures(self, rows: Sequence[ScoredTick], config: Config) -> Figures:
-        """The score of some rounds; nothing if they have no frame."""
+        """The score of some rounds, its times from the flight's first round on; nothing if they have no frame."""
         if not any(row.truth for row in rows):
             return {}
-        lens = self.camera.settings.intrinsics
-        return rounded(score(rows, lens, config.servo.standoff_m, asdict(config.limits)))
+        scored = score(rows, self.camera.settings.intrinsics, config.servo.standoff_m, asdict(config.limits))
+        return rounded(replace(scored, worst_t_s=scored.worst_t_s - self.rows[0].t_s))
 
 
 def simulate(flight: FlightSpec, terminal: Terminal, *, bar: bool) -> tuple[Figures, bool]:

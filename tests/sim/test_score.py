@@ -176,14 +176,16 @@ class TrueBoxes:
 
 
 def test_a_live_flight_through_a_scene_is_scored_from_the_first_setpoint_to_the_last(monkeypatch):
-    vehicle = Vehicle(Autopilot.PX4, VehicleTruth(north_m=50.0, down_m=-6.0, yaw_rad=1.0))
+    vehicle = Vehicle(Autopilot.PX4, VehicleTruth(t_s=9000.0, north_m=50.0, down_m=-6.0, yaw_rad=1.0))
     link = SimLink(vehicle)
     monkeypatch.setattr(sim_camera, "time", Clockwork(link))
     seen = open_scene(read(["run", "--link", "udpin:127.0.0.1:14550", "--camera", "scene:walker"]), link)
     servo, safety = Servo(seen.down_rad, seen.config.servo), Safety(seen.config.limits)
     parts = TrueBoxes(seen.camera), Target(seen.lens, seen.down_rad, seen.config.target), servo, safety
     assert seen.score() == {"scenario": "walker", "seed": 0}, "nothing flown, nothing scored"
+    times_s = []
     for k, tick in enumerate(follow(seen.camera, link, *parts, once(Order.FOLLOW))):
+        times_s.append(tick.state.t_s)
         assert seen.truth(tick) == (tick.track.box if tick.track else None)
         if k == 90:
             safety.order(Order.OBSERVE)
@@ -195,6 +197,7 @@ def test_a_live_flight_through_a_scene_is_scored_from_the_first_setpoint_to_the_
     assert 7.0 < figures["nearest_m"] < 12.0  # from 6 m up and 9 m behind to 1.75 m
     assert figures["violations"] == {}
     assert "nearest_other_m" not in figures
+    assert 0.0 <= figures["worst_t_s"] <= times_s[-1] - times_s[0], "from the first round on, as in ticks.csv"
     assert (figures["scenario"], figures["seed"]) == ("walker", 0)
 
 
