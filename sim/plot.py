@@ -19,6 +19,7 @@ from sim.score import ScoredTick, distance, offset
 
 STRIP = 6  # images
 STRIP_WIDTH = 320  # of each, px
+TRUE, TRACKED = (235, 190, 0), (255, 40, 40)  # colours of the target's and the tracker's box, RGB: yellow and red
 HALF = 0.5  # of the target visible, below which the plot marks it as hidden
 
 
@@ -35,7 +36,7 @@ class Strip:
         if len(self.images) >= STRIP or frame.t_s < due:
             return
         image = frame.image.copy()
-        for box, colour in ((true, (0, 230, 255)), (tracked, (40, 40, 255))):
+        for box, colour in ((true, TRUE[::-1]), (tracked, TRACKED[::-1])):
             if box is not None:
                 corner, opposite = (round(box.x), round(box.y)), (round(box.x + box.w), round(box.y + box.h))
                 cv2.rectangle(image, corner, opposite, colour, 2)
@@ -86,10 +87,11 @@ def _paths(ax: Axes, rows: Sequence[ScoredTick], world: World) -> None:
     for k in range(0, len(seen), max(1, len(seen) // 12)):
         sight = (own[k, 0], target[k, 0]), (own[k, 1], target[k, 1])
         ax.plot(*sight, color="0.8", lw=0.8, label="line of sight")
+    colour = tuple(level / 255 for level in TRUE)
     ax.plot(own[:, 0], own[:, 1], color="tab:blue", label="vehicle")
-    ax.plot(target[:, 0], target[:, 1], color="tab:red", label="target")
+    ax.plot(target[:, 0], target[:, 1], color=colour, label="target")
     ax.scatter(*own[0], color="tab:blue", s=25, zorder=3, label="start")
-    ax.scatter(*target[0], color="tab:red", s=25, zorder=3)
+    ax.scatter(*target[0], color=colour, s=25, zorder=3)
     both = np.concatenate([own, target])
     middle, reach = (both.max(axis=0) + both.min(axis=0)) / 2, float(np.ptp(both, axis=0).max()) / 2 + 5
     ax.set_xlim(middle[0] - reach, middle[0] + reach)

@@ -12,7 +12,7 @@ from follow.config import Config, resolve
 from follow.control.footage import FootageTarget
 from follow.control.servo import Servo
 from follow.control.target import Target
-from follow.flight.session import acquire, conclude, fly, keep_live_flight, once
+from follow.flight.session import acquire, conclude, fly, keep_flight, once
 from follow.link.replay import ReplayLink
 from follow.loop import follow
 from follow.messages import Order
@@ -58,7 +58,7 @@ def replay(command: ReplayCommand) -> None:
         # The window's vehicle stays where it is whatever it is told: that is no disobedience.
         limits = replace(config.limits, disobey_after_s=NEVER_S) if command.ptz else config.limits
         tracker, safety = acquire(command.tracker, box), Safety(limits)
-        keep_live_flight(command.out, terminal)
+        keep_flight(command.out, terminal)
         with link, Recorder(command.out, config.record, terminal.report, waits=True, about=about) as recorder:
             terminal.listeners.append(recorder.message)
             recorder.settings(as_toml(command.config, config))

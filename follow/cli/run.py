@@ -23,7 +23,7 @@ from follow.control.servo import STEEPEST_RAD, Servo, ServoMode
 from follow.control.target import Target
 from follow.flight.finding import Finding
 from follow.flight.live_flight import LogForwarder, Parts, fly, preflight, unwaived
-from follow.flight.session import acquire, conclude
+from follow.flight.session import acquire, conclude, keep_flight
 from follow.geometry import Intrinsics
 from follow.link import Link
 from follow.link.connection import MavlinkLink, connect
@@ -32,7 +32,7 @@ from follow.link.tlog import Tlog
 from follow.messages import Autopilot, Notify, Tick
 from follow.operator.authority import Keys, Operator
 from follow.operator.terminal import Terminal
-from follow.recording.recorder import Recorder, set_aside
+from follow.recording.recorder import Recorder
 from follow.recording.summary import Figures
 from follow.safety.gate import Safety
 from racf.box import Box
@@ -197,8 +197,7 @@ def begin_recording(
     command: RunCommand, starting: Path, terminal: Terminal, early: Sequence[str]
 ) -> Generator[Recorder, None, None]:
     """The recording of a flight that starts now: the last one is moved aside, and what was said is in it."""
-    if moved := set_aside(command.out):
-        terminal.report(f"the flight that was in {command.out} is now in {moved}")
+    keep_flight(command.out, terminal)
     starting.rename(command.out / "flight.tlog")
     about = f"# follow run {command.link} {command.camera}\n\ntracker {command.tracker}"
     record = command.config.record

@@ -34,10 +34,16 @@ def once(order: Order) -> Callable[[], Instruction]:
     return lambda: next(orders, NO_INSTRUCTION)
 
 
+def keep_flight(out: Path, terminal: Terminal) -> None:
+    """Move the recording in `out` aside, if there is one."""
+    if moved := set_aside(out):
+        terminal.report(f"the flight that was in {out} is now in {moved}")
+
+
 def keep_live_flight(out: Path, terminal: Terminal) -> None:
-    """Move the recording of a live flight in `out` aside; that of a replay or a simulation may be written over."""
+    """Move the recording of a live flight in `out` aside; a simulation, which its seed repeats, may be written over."""
     if (out / "flight.tlog").exists():
-        terminal.report(f"the flight that was in {out} is now in {set_aside(out)}")
+        keep_flight(out, terminal)
 
 
 def fly(ticks: Iterable[Tick], recorder: Recorder, report: Notify, truth: Callable[[Tick], Box | None]) -> bool:

@@ -90,9 +90,16 @@ def listed(figures: Figures) -> str:
     width = max(map(len, figures))
     text = ""
     for name, value in figures.items():
-        shown = ", ".join(f"{k} {v:g}" for k, v in value.items()) if isinstance(value, dict) else value
-        text += f"{name:<{width}}  {shown}\n"
+        shown = ", ".join(f"{k} {_digits(v)}" for k, v in value.items()) if isinstance(value, dict) else _digits(value)
+        text += f"{name:<{width}}  {shown or 'none'}\n"
     return text
+
+
+def _digits(value: object) -> object:
+    """A measured number with four digits; anything else as it is."""
+    if not isinstance(value, float):
+        return value
+    return f"{value:.4g}" if abs(value) < 1000 else f"{value:.0f}"
 
 
 COLUMNS = ("in_view", "centring_rms", "standoff_rms_m", "lost_s", "nearest_m", "violations", "worst_t_s")

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from follow.recording.rerun_log import RerunRecording
 
 
-FILES = ("flight.rrd", "flight.tlog", "ticks.csv", "settings.toml", "summary.json")
+FILES = ("flight.rrd", "flight.tlog", "flight.png", "ticks.csv", "settings.toml", "summary.json")
 """What a flight leaves in its folder."""
 
 FLUSH_EVERY = 15

@@ -152,11 +152,11 @@ class Report:
         header += ["jittered precision", "95 %", "jittered AUC", "95 %"] * shaken
         rows: list[tuple[str, ...]] = []
         for label, of in found.items():
-            cells = [label, *_difference_cells(of)]
+            cells = [label, *self._difference_cells(of)]
             if shaken:
-                cells += _difference_cells(of["jittered"]) if "jittered" in of else ["-"] * 4
+                cells += self._difference_cells(of["jittered"]) if "jittered" in of else ["-"] * 4
             rows.append(tuple(cells))
-        title = f"Difference to {self.rows[0].label}, paired over {len(self.counted)} sequences, percentage points"
+        title = f"Difference to {self.rows[0].label}, paired over {self._count()}, percentage points"
         return Table(title, tuple(header), tuple(rows))
 
     def overall(self) -> Table:
@@ -168,15 +168,29 @@ class Report:
         rows: list[tuple[str, ...]] = []
         for label, figures in summary.items():
             low, high = figures["interval_95"]["precision_20px"], figures["interval_95"]["auc"]
-            cells = [label, _two(figures["precision_20px"]), f"{low[0]:.1f}..{low[1]:.1f}"]
-            cells += [_two(figures["auc"]), f"{high[0]:.1f}..{high[1]:.1f}"]
+            cells = [label, _two(figures["precision_20px"]), self._interval(low)]
+            cells += [_two(figures["auc"]), self._interval(high)]
             cells += [_two(figures["precision_20px_strict"]), _two(figures["auc_strict"])]
             cells += [_two(figures.get("fps"))] * timed
             jittered = figures.get("jittered")
             cells += [_two(jittered and jittered["precision_20px"]), _two(jittered and jittered["auc"])] * shaken
             rows.append(tuple(cells))
-        title = f"One-pass evaluation, mean over {len(self.counted)} sequences, percent"
+        title = f"One-pass evaluation, mean over {self._count()}, percent"
         return Table(title, tuple(header), tuple(rows))
+
+    def _count(self) -> str:
+        return "1 sequence" if len(self.counted) == 1 else f"{len(self.counted)} sequences"
+
+    def _interval(self, ends: list[float], sign: str = "") -> str:
+        """An interval's cell; one sequence has no spread from which to estimate it."""
+        return f"{ends[0]:{sign}.1f}..{ends[1]:{sign}.1f}" if len(self.counted) > 1 else "-"
+
+    def _difference_cells(self, of: DifferenceFigures) -> list[str]:
+        precision, auc = of["interval_95"]["precision_20px"], of["interval_95"]["auc"]
+        return [
+            f"{of['precision_20px']:+.2f}", self._interval(precision, "+"),
+            f"{of['auc']:+.2f}", self._interval(auc, "+"),
+        ]  # fmt: skip
 
     def by_sequence(self) -> Table:
         """Precision / AUC of each tracker on each sequence, toolkit convention."""
@@ -272,13 +286,6 @@ def _difference(to: str, pairs: list[tuple[list[Judged], list[Judged]]]) -> Diff
             "auc": _rounded(interval_of_mean(auc)),
         },
     }
-
-
-def _difference_cells(of: DifferenceFigures) -> list[str]:
-    (low, high), (lower, upper) = of["interval_95"]["precision_20px"], of["interval_95"]["auc"]
-    return [
-        f"{of['precision_20px']:+.2f}", f"{low:+.1f}..{high:+.1f}", f"{of['auc']:+.2f}", f"{lower:+.1f}..{upper:+.1f}",
-    ]  # fmt: skip
 
 
 def _pair(judged: list[Judged]) -> str:

@@ -20,7 +20,7 @@ from follow.config import CameraConfig, Config
 from follow.control.servo import ServoConfig, ServoMode
 from follow.link import connection
 from follow.messages import Autopilot
-from follow.operator.terminal import result
+from follow.operator.terminal import listed, result
 from follow.recording.recorder import FILES
 from follow.safety.limits import Limits
 from sim.clip import clip, write
@@ -72,6 +72,26 @@ def test_replay_twice_gives_the_same_bytes(capfd, footage, tmp_path):
     for name in ("a", "b"):
         assert replay(capfd, footage, tmp_path / name)[0] == 0
     assert (tmp_path / "a" / "ticks.csv").read_bytes() == (tmp_path / "b" / "ticks.csv").read_bytes()
+
+
+def test_a_replay_moves_an_earlier_recording_aside(capfd, footage, tmp_path):
+    for _ in range(2):
+        status, _, err = replay(capfd, footage, tmp_path, "--record.no-pictures")
+        assert status == 0, err
+    assert f"the flight that was in {tmp_path} is now in {tmp_path / 'earlier-1'}" in err
+    assert (tmp_path / "earlier-1/ticks.csv").read_bytes() == (tmp_path / "ticks.csv").read_bytes()
+
+
+def test_figures_for_a_person_have_four_digits_and_nothing_is_called_none():
+    figures = {
+        "seconds": 12345.678,
+        "in_view": 0.923416,
+        "modes": {"follow": 30.000001},
+        "violations": {},
+        "frames": 90123,
+    }
+    told = [line.split(maxsplit=1)[1] for line in listed(figures).splitlines()]
+    assert told == ["12346", "0.9234", "follow 30", "none", "90123"]
 
 
 def test_a_folder_with_a_gap_and_a_broken_image_is_flown_to_its_end(capfd, tmp_path):
@@ -199,6 +219,7 @@ def test_the_same_scenario_and_seed_twice_gives_the_same_bytes(capfd, brief, tmp
     assert summary["violations"] == {}
     assert (summary["scenario"], summary["seed"], summary["autopilot"]) == ("brief", 3, "px4")
     assert (tmp_path / "a/flight.png").stat().st_size > 10_000
+    assert "flight.png" in err.split("recorded in")[1]
 
 
 def test_the_settings_flown_with_are_recorded_and_fly_the_same_again(capfd, brief, tmp_path):

@@ -162,6 +162,16 @@ def test_a_difference_is_paired_by_sequence(data):
     assert found["jittered"]["auc"] == pytest.approx(jittered[1] - jittered[0], abs=1e-5)
 
 
+def test_one_sequence_has_no_interval_and_is_not_called_sequences(data):
+    trackers = {"a": Still, "b": Blind}
+    for only, title, dashes in (("one", "over 1 sequence,", 2), (NAMES, "over 3 sequences,", 0)):
+        report = evaluate(data, trackers=trackers, only=only, jobs=1, progress=False).report
+        for table in (report.overall(), report.differences()):
+            assert table is not None
+            assert title in table.title
+            assert table.rows[-1][1:5].count("-") == dashes
+
+
 def test_the_output_folder_of_an_evaluation_is_imported_with_its_starts(data, tmp_path):
     ran = {}
     for out, tracker in (("before", Still), ("after", Template)):
