@@ -114,7 +114,15 @@ def inspect(command: RunCommand, link: MavlinkLink) -> list[Finding]:
 def fly_live(command: RunCommand) -> None:
     """`follow run`."""
     check(command)
-    terminal = Terminal()
+    terminal = Terminal(waits=False)
+    try:
+        fly_reported(command, terminal)
+    finally:
+        terminal.flush()
+
+
+def fly_reported(command: RunCommand, terminal: Terminal) -> None:
+    """From the first message to the last."""
     early: list[str] = []  # lines reported before the recording exists
     terminal.listeners.append(early.append)
     # Until there is a flight to order, the signal must not do what it does by default: kill.

@@ -63,6 +63,7 @@ def fly(ticks: Iterable[Tick], recorder: Recorder, report: Notify, truth: Callab
 
 def conclude(figures: Figures, out: Path, terminal: Terminal, *, as_json: bool, finished: bool) -> None:
     """Print the figures and where the files are.  Raises KeyboardInterrupt if a person stopped the flight."""
+    terminal.flush()
     result(figures, as_json=as_json)
     files = [name for name in FILES if (out / name).exists()]
     look = f"; open it with: follow inspect {out}" if "flight.rrd" in files else ""

@@ -233,13 +233,13 @@ class Keys:
 
     def __enter__(self) -> Self:
         if self._file is not None:
-            tty.setcbreak(self._file)
+            tty.setcbreak(self._file, termios.TCSANOW)  # the others wait for a terminal stopped by Ctrl-S
         return self
 
     def __exit__(self, *_error: object) -> None:
         if self._file is not None and self._before is not None:
             with contextlib.suppress(termios.error):  # the terminal was closed
-                termios.tcsetattr(self._file, termios.TCSADRAIN, self._before)
+                termios.tcsetattr(self._file, termios.TCSANOW, self._before)
 
     def read_into(self, operator: Operator) -> None:
         """Pass the keys typed since the last call to the operator."""

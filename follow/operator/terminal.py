@@ -4,6 +4,7 @@ import errno
 import json
 import math
 import os
+import select
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from typing import TypeVar
@@ -12,27 +13,44 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
+from follow.operator.background import FLUSH_S, BackgroundWriter
 from follow.recording.summary import Figures
 
 ItemT = TypeVar("ItemT")
 
 
 class Terminal:
-    """Standard error for a person.  Each message also goes to every listener (the recording is one)."""
+    """Standard error for a person.  Each message also goes to every listener (the recording is one).
 
-    def __init__(self) -> None:
+    A live flight does not wait for it (`waits` is false): a stopped terminal must not stop the control loop.
+    """
+
+    def __init__(self, *, waits: bool = True) -> None:
         self.listeners: list[Callable[[str], None]] = []
         self._console = _Lasting(stderr=True, highlight=False)
+        descriptor = None if waits else _standard_error()
+        self._writer = None if descriptor is None else BackgroundWriter(descriptor)
 
     def report(self, text: str) -> None:
         """Print one line and tell the listeners."""
         line = " ".join(text.split())
+        if self._writer is not None:
+            self._writer.put(line)
+        else:
+            self._print(line)
+        for listener in self.listeners:
+            listener(line)
+
+    def flush(self) -> None:
+        """Wait a short time until everything reported is on the terminal."""
+        if self._writer is not None:
+            self._writer.flush()
+
+    def _print(self, line: str) -> None:
         try:
             self._console.print(line, markup=False, soft_wrap=True)
         except OSError:  # the terminal was closed
             self._console.quiet = True
-        for listener in self.listeners:
-            listener(line)
 
     def progress(self, items: Iterable[ItemT], total: int | None, name: str, unit: str = "frames") -> Iterator[ItemT]:
         """Yield the items under a progress bar with their rate and the time left."""
@@ -70,8 +88,26 @@ class _Rate(ProgressColumn):
         return Text("" if speed is None else f"{speed:.1f} {self._unit}/s")
 
 
+def _standard_error() -> int | None:
+    """Its file descriptor; None if it has none."""
+    try:
+        return sys.stderr.fileno()
+    except (AttributeError, OSError):  # closed before the start, or replaced within Python
+        return None
+
+
+def _is_stopped_terminal() -> bool:
+    """Whether standard output is a terminal that takes nothing: stopped by Ctrl-S."""
+    return sys.stdout.isatty() and not select.select([], [sys.stdout], [], FLUSH_S)[1]
+
+
 def result(figures: Figures | list[Figures], *, as_json: bool) -> None:
-    """Print the result on standard output, for a program or for a person; a closed terminal is not an error."""
+    """Print the result on standard output, for a program or for a person; a closed terminal is not an error.
+
+    A stopped terminal gets none: the program must end, and the recording has the figures.
+    """
+    if _is_stopped_terminal():
+        return
     try:
         sys.stdout.write(listed(figures) if isinstance(figures, dict) and not as_json else _json(figures))
         sys.stdout.flush()
