@@ -121,11 +121,12 @@ def needed_above_m(target: Worst, state: VehicleState, limits: Limits) -> float:
     """Height above the target's head that keeps the stand-off at the nearest range that braking leaves.
 
     Both motions count: at the relative closing speed s the range still falls by s²/2a + s T, where T is the time that
-    the climb over the stand-off takes.
+    the climb over the stand-off takes: reaction, ramp to the full speed (v/2a longer than at that speed), h/v.
     """
     own, _ = ned_to_heading(state.north_m_s, state.east_m_s, target.sight_rad)
     closing = max(own + target.approach_m_s, 0.0)
-    climb_s = limits.min_standoff_m / limits.climb_m_s
+    ramp_s = limits.climb_m_s / (2 * limits.climb_accel_m_s2)
+    climb_s = REACT_S + ramp_s + limits.min_standoff_m / limits.climb_m_s
     nearest = max(target.range_m - closing**2 / (2 * limits.accel_m_s2) - closing * climb_s, 0.0)
     return math.sqrt(max(limits.min_standoff_m**2 - nearest**2, 0.0))
 

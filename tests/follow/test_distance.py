@@ -47,7 +47,7 @@ def test_the_height_that_is_needed_keeps_the_stand_off_at_the_nearest_point(away
     state = flying(0.0, down_m=-2.0 - above)
     target = worst(estimate, state, LIMITS)
     needed = needed_above_m(target, state, LIMITS)
-    nearest = max(away - max(toward, 0.0) ** 2 / 5.0 - 2.0 * max(toward, 0.0), 0.0)
+    nearest = max(away - max(toward, 0.0) ** 2 / 5.0 - 3.5 * max(toward, 0.0), 0.0)  # 1 s, ramp 0.5 s, 4 m at 2 m/s
     assert math.hypot(nearest, needed) >= LIMITS.min_standoff_m - 1e-6
 
 
