@@ -190,7 +190,7 @@ class Operator:
         """One line for each other sender that steers the vehicle now."""
         steering = self.heard.steering if self.heard is not None else {}
         return tuple(
-            f"system {system} component {component} also sends setpoints"
+            f"system {system} component {component} also steers, by setpoints or sticks"
             for (system, component), t_s in sorted(steering.items())
             if self.is_recent(t_s)
         )

@@ -182,6 +182,7 @@ def test_another_sender_while_following_takes_control_back():
     assert d.be("follow") is None
     ears.steering[1, 195] = d.t_s
     assert d.be("follow") is Order.OBSERVE
+    assert d.round("follow").forbids == "system 1 component 195 also steers, by setpoints or sticks"
 
 
 def test_signals_order_and_leave_and_the_second_leave_does_not_wait():
