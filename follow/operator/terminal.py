@@ -126,8 +126,10 @@ def listed(figures: Figures) -> str:
     width = max(map(len, figures))
     text = ""
     for name, value in figures.items():
-        shown = ", ".join(f"{k} {_digits(v)}" for k, v in value.items()) if isinstance(value, dict) else _digits(value)
-        text += f"{name:<{width}}  {shown or 'none'}\n"
+        shown = _digits(value)
+        if isinstance(value, dict):
+            shown = ", ".join(f"{k} {_digits(v)}" for k, v in value.items()) or "none"
+        text += f"{name:<{width}}  {shown}\n"
     return text
 
 
