@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 from follow.messages import HOVER, Cause, Mode, Order, Setpoint
 from follow.safety.distance import (
     Sighting,
+    Worst,
+    closing_speed,
     limit_closing_speed,
     limit_to_last_seen,
     needed_above_m,
@@ -129,6 +131,20 @@ def test_what_is_remembered_moves_with_the_autopilots_origin():
     now = safety.gate.last_seen
     assert (now.north_m, now.east_m) == pytest.approx((place.north_m + 5.0, place.east_m - 2.0))
     assert safety.gate.fence_centre == pytest.approx((centre[0] + 5.0, centre[1] - 2.0))
+
+
+def test_an_origin_that_moves_before_anything_is_remembered_moves_nothing():
+    safety = Safety()
+    safety.allow(HOVER, seen(0.0), flying(0.0, resets=1, reset_north_m=5.0), 0.0)
+    assert safety.gate.resets == 1
+    assert safety.gate.fence_centre is None or safety.gate.fence_centre[0] != 5.0
+
+
+def test_far_above_the_target_only_the_clear_distance_limits_the_closing_speed():
+    above = Worst(0.0, 3.0, LIMITS.min_standoff_m + 1.0, 0.0)
+    open_field = replace(LIMITS, clear_distance=0.0)
+    assert math.isinf(closing_speed(above, open_field))
+    assert closing_speed(above, replace(LIMITS, clear_distance=1.0)) == stopping_speed(3.0, LIMITS.accel_m_s2)
 
 
 def test_the_fence_is_about_home_and_does_not_move_with_orders():

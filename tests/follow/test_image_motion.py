@@ -1,6 +1,7 @@
 """How the background moves: measured on images whose motion is known, and judged against what it must be."""
 
 import math
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -194,3 +195,10 @@ def test_parallax_tells_the_height_above_the_ground_around_the_feet(lower_m):
 
 def test_a_vehicle_that_only_turns_is_told_no_height():
     assert all(math.isinf(m.height_std_m) for m in flown(turning, 1.0, box=lambda _t: Box(150, 60, 12, 40)))
+
+
+def test_intervals_with_a_gap_between_them_say_nothing_of_the_box():
+    one = ImageMotion(0.0, 0.2, 20, 1.0, 0.0, 0.0, 1.0, 0.0, 1.0, (0.0, 0.0), (0.0, 0.0))
+    later = replace(one, from_t_s=2.0, t_s=2.2, box_expected_px=(0.0, 50.0))
+    assert box_gain([one, later]) is None
+    assert box_gain([one, replace(later, from_t_s=0.2, t_s=0.4)]).value == 0.0
