@@ -10,7 +10,7 @@ from follow.cli.commands import ReplayCommand, box_of
 from follow.cli.settings import as_toml
 from follow.config import Config, resolve
 from follow.control.footage import FootageTarget
-from follow.control.servo import Servo
+from follow.control.servo import Servo, ServoMode
 from follow.control.target import Target
 from follow.flight.session import acquire, conclude, fly, keep_flight, once
 from follow.link.replay import ReplayLink
@@ -54,7 +54,9 @@ def replay(command: ReplayCommand) -> None:
             box = box.moved(-ptz.window.x, -ptz.window.y)
         config = resolve(config, lens, config.camera.down_rad, 0.0)  # a file's frames do not come late
         target = FootageTarget(Target(lens, config.camera.down_rad, config.target), moves_view=command.ptz)
-        servo = Servo(config.camera.down_rad, config.servo)
+        # The window turns and climbs and cannot come nearer, whatever else the servo is set to.
+        geometry = replace(config.servo, mode=ServoMode.CENTRE) if command.ptz else config.servo
+        servo = Servo(config.camera.down_rad, geometry)
         # The window's vehicle stays where it is whatever it is told: that is no disobedience.
         limits = replace(config.limits, disobey_after_s=NEVER_S) if command.ptz else config.limits
         tracker, safety = acquire(command.tracker, box), Safety(limits)

@@ -165,7 +165,8 @@ class Servo:
         c = self.config
         axis = min(max(self.axis_rad(), 0.0), STEEPEST_RAD)
         height = estimate.range_m * math.tan(min(estimate.depression_rad, STEEPEST_RAD))
-        beyond = min(max(estimate.range_m / c.standoff_m - 1.0, 0.0), 1.0)
+        stays = c.mode is ServoMode.CENTRE  # it cannot come nearer, so it keeps the target in the middle row
+        beyond = 0.0 if stays else min(max(estimate.range_m / c.standoff_m - 1.0, 0.0), 1.0)
         highest = c.height_ratio * c.standoff_m * math.tan(min(max(self.down_rad, c.band_rad), STEEPEST_RAD))
         most = estimate.range_m * math.tan(axis)
         least = min(estimate.range_m * math.tan(max(axis - beyond * c.band_rad, 0.0)), highest)

@@ -46,5 +46,5 @@ class Service:
 
     def _say(self, text: str) -> None:
         if self._socket is not None:
-            with contextlib.suppress(OSError):  # a service manager that does not listen is not worth a flight
+            with contextlib.suppress(OSError):  # never abort a flight because systemd is not listening
                 self._socket.sendto(text.encode(), self._address)
