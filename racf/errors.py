@@ -3,3 +3,7 @@
 
 class UsageError(ValueError):
     """What was asked for cannot be done; the message is one sentence for a person."""
+
+
+class TrackerError(ValueError):
+    """A tracker failed; the message names it, the frame, and what it said."""

@@ -193,12 +193,15 @@ def _read_dtb70(root: Path) -> Iterator[Sequence]:
 
 
 def all_frames(folder: Path) -> tuple[Path, ...]:
-    """The images of a folder in order; raises ValueError that names the first missing number."""
+    """The images of a folder in order; raises ValueError that says what to do about a gap in their numbers."""
     paths = image_paths(folder)
-    places = positions(paths)
-    for path, (before, after) in zip(paths, pairwise(places), strict=False):
-        if after != before + 1:
-            raise ValueError(f"{folder}: the frame after {path.name} is missing")
+    for (path, following), (before, after) in zip(pairwise(paths), pairwise(positions(paths)), strict=True):
+        if missing := after - before - 1:
+            images = "one image is" if missing == 1 else f"{missing} images are"
+            raise ValueError(
+                f"{folder}: {images} missing between {path.name} and {following.name}, and each box belongs to one "
+                f"image: copy what is missing, or if it never was, number the images without a gap"
+            )
     return tuple(paths)
 
 

@@ -4,7 +4,7 @@ import fnmatch
 import json
 import os
 import sys
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Sized
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +12,7 @@ from typing import Any
 
 from racf.errors import UsageError
 from racf.evaluate import plots, studies
+from racf.evaluate.arguments import address, directory, sweep_of, table_number, texts, whole
 from racf.evaluate.benchmarks import BENCHMARKS, Sequence, is_known, read_benchmark
 from racf.evaluate.figures import TrackerFigures
 from racf.evaluate.imports import import_boxes
@@ -110,22 +111,22 @@ def evaluate(
     progress: show a bar on standard error.  notify: is given a line for each thing left out.
     Paired differences are to the first tracker.  Raises ValueError for wrong arguments before anything runs.
     """
-    sweep, folder, root = sweep or studies.Sweep(), Path(out) if out else None, Path(root)
-    _check(table, images, out, jitter, jobs, given=bool(trackers or imports))
+    root, folder = directory("root", root), None if out is None or out == "" else directory("out", out)
+    jitter, jobs, images = whole("jitter", jitter), whole("jobs", jobs), whole("images", images)
+    settings, imports, only = texts("settings", settings), texts("imports", imports), texts("only", only)
+    table, sweep, dask = table_number(table), sweep_of(sweep), address("dask", dask)
+    trackers = None if isinstance(trackers, Sized) and not trackers else trackers
+    _check(table, images, folder, given=trackers is not None or bool(imports))
     usual = () if imports else ("racf",) if table is None else studies.trackers_of(table, sweep)
-    builders = _builders(trackers or usual, _texts(settings))
-    sequences = _sequences(root, benchmark, _texts(only), need_frames=images > 0)
-    stored = import_boxes(_texts(imports), sequences, [b.label for b in builders], notify)
+    builders = _builders(usual if trackers is None else trackers, settings)
+    sequences = _sequences(root, benchmark, only, need_frames=images > 0)
+    stored = import_boxes(imports, sequences, [b.label for b in builders], notify)
     runs = _run(builders, sequences, jitter, jobs=jobs, folder=folder, dask=dask, progress=progress)
     evaluation = _judge(root, sequences, runs, stored, table, sweep)
     if folder is not None:
         written = [*evaluation.write(folder, images), *studies.draw(table, evaluation.report, sweep, folder)]
         notify(f"report.json, tables.md and {len(written) - 2} figures are in {folder}")
     return evaluation
-
-
-def _texts(given: str | Collection[str]) -> Collection[str]:
-    return (given,) if isinstance(given, str) else given
 
 
 def select(root: Path, only: Iterable[str], sequences: list[Sequence]) -> list[Sequence]:
@@ -137,12 +138,7 @@ def select(root: Path, only: Iterable[str], sequences: list[Sequence]) -> list[S
     return chosen
 
 
-def _check(table: int | None, images: int, out: object, jitter: int, jobs: int, *, given: bool) -> None:
-    for name, number in (("jitter", jitter), ("jobs", jobs), ("images", images)):
-        if number < 0:
-            raise UsageError(f"{name} is at least 0, not {number}")
-    if table not in {None, 2, 3, 4, 5}:
-        raise UsageError(f"table is 2, 3, 4 or 5, not {table}")
+def _check(table: int | None, images: int, out: Path | None, *, given: bool) -> None:
     if table in {3, 4} and given:
         raise UsageError(f"table {table} names its own trackers; leave out trackers and imports")
     if images and out is None:
@@ -159,7 +155,7 @@ def _builders(trackers: Any, settings: Collection[str]) -> list[TrackerBuilder]:
 def _sequences(root: Path, benchmark: str, only: Iterable[str], *, need_frames: bool) -> list[Sequence]:
     if not root.is_dir():
         raise UsageError(f"a folder of sequences is needed; {root} is not a folder")
-    if not is_known(benchmark):
+    if not isinstance(benchmark, str) or not is_known(benchmark):  # pyright: ignore[reportUnnecessaryIsInstance]
         raise UsageError(f"benchmark is one of {', '.join(BENCHMARKS)}, not {benchmark!r}")
     sequences = select(root, only, read_benchmark(benchmark, root))
     if need_frames and not any(s.frames for s in sequences):

@@ -15,6 +15,7 @@ import importlib
 import inspect
 import os
 import sys
+import traceback
 import uuid
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -25,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from racf.box import Box
+from racf.errors import TrackerError
 from racf.track import Track
 
 Factory = Callable[[], Any]
@@ -32,7 +34,7 @@ PROTOCOL = "init(image, box) and update(image), which gives the box"
 
 
 class OwnTracker:
-    """A tracker of yours, with its answers turned into Tracks."""
+    """A tracker of yours, with its answers turned into Tracks, and any error in it into a TrackerError."""
 
     def __init__(self, tracker: Any, label: str) -> None:
         for method in ("init", "update"):
@@ -40,16 +42,28 @@ class OwnTracker:
                 raise ValueError(f"tracker {label}: it needs two methods, {PROTOCOL}; {method} is missing")
         self._tracker, self._label = tracker, label
         self._box = Box(0, 0, 1, 1)
+        self._frame = 0
 
     def init(self, image: NDArray[np.uint8], box: Box) -> Track:
-        """Start on `box`."""
-        self._tracker.init(image, box)
+        """Start on `box`.  Raises TrackerError if your `init` raises."""
+        self._frame = 0
+        try:
+            self._tracker.init(image, box)
+        except Exception as error:
+            raise self._failed("init", error) from error
         self._box = box
         return self._track(found=True)
 
     def update(self, image: NDArray[np.uint8]) -> Track:
-        """Its answer to the next image; the last box again if it gives None.  Raises ValueError for any other thing."""
-        answer = self._tracker.update(image)
+        """Its answer to the next image; the last box again if it gives None.
+
+        Raises TrackerError if your `update` raises, or gives another thing than a box.
+        """
+        self._frame += 1
+        try:
+            answer = self._tracker.update(image)
+        except Exception as error:
+            raise self._failed("update", error) from error
         if isinstance(answer, Track):
             self._box = answer.box
             return answer
@@ -58,11 +72,22 @@ class OwnTracker:
         try:
             self._box = answer if isinstance(answer, Box) else Box(*answer)
         except (TypeError, ValueError) as error:
-            raise ValueError(
+            raise TrackerError(
                 f"tracker {self._label}: update gives a racf.Box, x, y, w, h, a racf.Track or None, "
-                f"not {answer!r}: {error}"
+                f"not {answer!r} {self._when()}: {error}"
             ) from None
         return self._track(found=True)
+
+    def _failed(self, method: str, error: Exception) -> TrackerError:
+        """What to raise for an error in one of its methods; the place is the last line of its own file."""
+        own = getattr(sys.modules.get(type(self._tracker).__module__), "__file__", None)
+        passed = traceback.extract_tb(error.__traceback__)
+        place = next((step for step in reversed(passed) if step.filename == own), passed[-1])
+        text = f"{said(error)} ({Path(place.filename).name}, line {place.lineno})"
+        return TrackerError(f"tracker {self._label}: {method} failed {self._when()}: {text}")
+
+    def _when(self) -> str:
+        return f"in frame {self._frame} after the start" if self._frame else "in the first frame"
 
     def _track(self, *, found: bool) -> Track:
         return Track(self._box, self._box, psr=np.nan, apce=np.nan, confidence=float(found), found=found)
@@ -80,8 +105,12 @@ class OwnSpec:
     _once: str = field(default_factory=lambda: uuid.uuid4().hex, compare=False)
 
     def build(self) -> OwnTracker:
-        """A fresh tracker."""
-        return OwnTracker(self.factory(), self.label)
+        """A fresh tracker; raises ValueError if the class does not give one."""
+        try:
+            made = self.factory()
+        except Exception as error:
+            raise ValueError(f"tracker {self.label} cannot be built: {said(error)}") from error
+        return OwnTracker(made, self.label)
 
     def fingerprint(self) -> str:
         """Digest of the class's source code; never the same twice if that cannot be read."""
@@ -101,8 +130,8 @@ def load(name: str) -> Callable[..., Any]:
         sys.path.insert(0, os.getcwd())
     try:
         module = importlib.import_module(module_name)
-    except (ImportError, ValueError) as error:
-        raise ValueError(f"tracker {name!r}: module {module_name!r} cannot be imported: {error}") from None
+    except Exception as error:  # whatever a module of yours does while it is imported
+        raise ValueError(f"tracker {name!r}: module {module_name!r} cannot be imported: {said(error)}") from error
     found = getattr(module, attribute, None)
     if not callable(found):
         raise ValueError(f"tracker {name!r}: {module.__name__} has no class {attribute!r}; write module:Class")
@@ -110,11 +139,14 @@ def load(name: str) -> Callable[..., Any]:
 
 
 def build(name: str, settings: Mapping[str, str]) -> OwnTracker:
-    """`module:Class` with its settings as keyword arguments; raises ValueError if it does not take them."""
-    try:
-        return OwnTracker(load(name)(**{key: _value(text) for key, text in settings.items()}), name)
-    except TypeError as error:
-        raise ValueError(f"tracker {name!r} cannot be built: {error}") from None
+    """`module:Class` with its settings as keyword arguments; raises ValueError if that gives no tracker."""
+    factory = load(name)
+    return OwnSpec(name, lambda: factory(**{key: _value(text) for key, text in settings.items()})).build()
+
+
+def said(error: BaseException) -> str:
+    """An error of foreign code in one line: its class and its words."""
+    return " ".join(f"{type(error).__name__}: {error}".split())
 
 
 def source_of(thing: Any) -> str | None:

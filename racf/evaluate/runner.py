@@ -6,7 +6,8 @@ boxes depend on nothing else.  With a folder, finished tasks are left there and 
 
 import hashlib
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -18,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from racf.box import Box
+from racf.errors import TrackerError
 from racf.evaluate import outcomes
 from racf.evaluate.benchmarks import Sequence
 from racf.evaluate.boxfiles import read_boxes
@@ -106,17 +108,20 @@ def jittered(box: Box, sequence: str, start: int) -> Box:
 
 
 def run_task(task: Task) -> SequenceRun:
-    """Track one sequence; raises ValueError naming a frame that cannot be read."""
+    """Track one sequence; raises ValueError naming a frame that cannot be read, TrackerError for a failed tracker."""
     one_core()  # figures are those of one core, and the sums in the boxes do not depend on how many there are
     warm_up(task.spec)
     cv2.setRNGSeed(0)  # GrabCut's mixtures begin from random numbers
     tracker, boxes, seconds, stages = task.spec.build(), [task.first_box], 0.0, dict[str, list[float]]()
-    tracker.init(read_frame(task.frames[0]), task.first_box)
+    image = read_frame(task.frames[0])
+    with naming(task.spec.label, f"{task.benchmark}/{task.sequence}, {task.frames[0].name}"):
+        tracker.init(image, task.first_box)
     for path in task.frames[1:]:
         image = read_frame(path)
-        began = perf_counter()
-        track = tracker.update(image)
-        seconds += perf_counter() - began
+        with naming(task.spec.label, f"{task.benchmark}/{task.sequence}, {path.name}"):
+            began = perf_counter()
+            track = tracker.update(image)
+            seconds += perf_counter() - began
         boxes.append(track.box)
         for stage, ms in track.stage_ms.items():
             stages.setdefault(stage, []).append(ms)
@@ -129,13 +134,27 @@ def run_task(task: Task) -> SequenceRun:
     )
 
 
+@contextmanager
+def naming(label: str, frame: str) -> Generator[None]:
+    """Raise TrackerError, which names the tracker and its source and frame, for an error of a tracker within."""
+    try:
+        yield
+    except (ValueError, cv2.error) as error:
+        who = "" if isinstance(error, TrackerError) else f"tracker {label}: "
+        raise TrackerError(f"{frame}: {who}{' '.join(str(error).split())}") from error
+
+
 @cache
 def warm_up(spec: TrackerBuilder) -> None:
-    """Compile or load what the tracker compiles, once a process, so that no frame's time holds it."""
+    """Compile or load what the tracker compiles, once a process, so that no frame's time holds it.
+
+    A tracker of yours that fails on noise may yet do on images.
+    """
     noise = np.random.default_rng(0).integers(0, 256, (120, 160, 3), dtype=np.uint8)
     tracker = spec.build()
-    tracker.init(noise, Box(60, 40, 40, 40))
-    tracker.update(noise)
+    with suppress(TrackerError):
+        tracker.init(noise, Box(60, 40, 40, 40))
+        tracker.update(noise)
 
 
 def run_all(

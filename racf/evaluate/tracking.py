@@ -16,7 +16,7 @@ from racf.errors import UsageError
 from racf.evaluate.boxfiles import read_boxes, write_boxes
 from racf.evaluate.images import frames_of
 from racf.evaluate.metrics import Boxes, Convention, Score, score
-from racf.evaluate.runner import TrackerBuilder
+from racf.evaluate.runner import TrackerBuilder, naming
 from racf.track import Track
 
 COLUMNS = ("frame", "x_px", "y_px", "w_px", "h_px", "confidence", "found", "refined", "psr", "apce", "tracker_ms")
@@ -78,14 +78,16 @@ def track(
     """Follow `target` from the first image of a video file or folder of images to the last.
 
     `overlay` names a video to write, in which the tracker's box (green, red while it is not found), its confidence
-    and the annotation `truth` (white, 1-based) are drawn.  Raises ValueError or OSError for what cannot be read.
+    and the annotation `truth` (white, 1-based) are drawn.  Raises ValueError or OSError for what cannot be read,
+    TrackerError if the tracker fails.
     """
     tracker, tracks, times = spec.build(), list[Track](), list[float]()
     with _writer(overlay, source) as write:
         for image in frames_of(source):
-            began = perf_counter()
-            answer = tracker.update(image) if tracks else tracker.init(image, target)
-            times.append(1000 * (perf_counter() - began))
+            with naming(spec.label, f"{source}, frame {len(tracks)}"):
+                began = perf_counter()
+                answer = tracker.update(image) if tracks else tracker.init(image, target)
+                times.append(1000 * (perf_counter() - began))
             if write is not None:
                 row = truth[len(tracks)] if truth is not None and len(tracks) < len(truth) else None
                 write.put(drawn(image, answer, row))
