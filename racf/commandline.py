@@ -6,10 +6,11 @@ Exit status: 0 done, 1 the run failed, 2 wrong use.  An error is one line on sta
 import contextlib
 import io
 import re
+import select
 import signal
 import sys
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar, cast
+from typing import Any, TextIO, TypeVar, cast
 
 import tyro
 
@@ -27,6 +28,9 @@ _VALUE = re.compile(
 _OPTION = re.compile(r"^Error parsing (-\S+): (.*)$")
 _CHOICE = re.compile(r"^invalid choice (.+) for argument '(\S+)'\. Expected one of \((.*)\)\.$")
 _UNKNOWN = re.compile(r"^Unrecognized options: (.*)$")
+STOPPED_S = 0.5
+"""Maximum wait for a terminal that Ctrl-S stopped: the program must end, and its exit status tells of failure."""
+
 _FRAME = re.compile(r"[─-╿]+|-{5,}")  # the block of box-drawing characters; dashes where the output is not UTF-8
 
 
@@ -127,5 +131,14 @@ def _unknown(words: Sequence[str], framed: str) -> str:
 
 def _complain(prog: str, error: object, status: int) -> int:
     text = " ".join(str(error).split()) or type(error).__name__
-    print(f"{prog}: error: {text}", file=sys.stderr)  # noqa: T201 - the one place where a program speaks of failure
+    if _takes_text(sys.stderr):
+        print(f"{prog}: error: {text}", file=sys.stderr)  # noqa: T201 - the one place where a program speaks of failure
     return status
+
+
+def _takes_text(stream: TextIO | None) -> bool:
+    """Whether a line can be written without blocking: not to a stopped terminal nor to a full pipe."""
+    try:
+        return stream is not None and bool(select.select([], [stream.fileno()], [], STOPPED_S)[1])
+    except (OSError, ValueError):  # replaced within Python: it has no descriptor
+        return True

@@ -1,5 +1,10 @@
 """One line for each error, and the exit status that says whose mistake it was."""
 
+import contextlib
+import os
+import pty
+import sys
+import termios
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -89,3 +94,34 @@ def test_help_goes_to_standard_output_and_ends_in_0(capsys):
     out, err = capsys.readouterr()
     assert "Fly to somewhere." in out
     assert err == ""
+
+
+def fails_while_standard_error_is(descriptor, monkeypatch) -> int:
+    with os.fdopen(descriptor, "w") as stream:
+        monkeypatch.setattr(sys, "stderr", stream)
+        return fly(["fly", "home"], ValueError("the place has no height"))
+
+
+def test_a_terminal_stopped_by_ctrl_s_does_not_keep_the_program_from_ending(monkeypatch):
+    outside, inside = pty.openpty()
+    termios.tcflow(inside, termios.TCOOFF)
+    assert fails_while_standard_error_is(inside, monkeypatch) == 1
+    os.close(outside)
+
+
+def test_nor_does_a_full_pipe_that_nobody_reads(monkeypatch):
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            os.write(writing, bytes(4096))
+    os.set_blocking(writing, True)
+    assert fails_while_standard_error_is(writing, monkeypatch) == 1
+    os.close(reading)
+
+
+def test_a_terminal_that_takes_text_gets_the_error(monkeypatch):
+    outside, inside = pty.openpty()
+    assert fails_while_standard_error_is(inside, monkeypatch) == 1
+    assert b"drone: error: the place has no height" in os.read(outside, 4096)
+    os.close(outside)
