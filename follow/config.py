@@ -7,8 +7,10 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from pathlib import Path
 from types import MappingProxyType
 
+from follow.camera.calibration import fitted, read_calibration
 from follow.control.servo import ServoConfig
 from follow.control.target import TargetConfig
 from follow.geometry import Intrinsics
@@ -28,6 +30,8 @@ class CameraConfig:
 
     fov_deg: float = 70.0
     """Horizontal field of view of the undistorted image; most action and FPV cameras have 60 to 90."""
+    calibration: str = ""
+    """File that describes the lens in place of fov_deg: OpenCV's or ROS's YAML, as `follow calibrate` writes it."""
     down_deg: float | None = None
     """Angle of the optical axis below the nose. Derived: that of the drawn scene, else 30 degrees."""
     delay_s: float = 0.0
@@ -40,6 +44,8 @@ class CameraConfig:
             raise ValueError(f"a camera's delay lies in 0..1 s, not {self.delay_s:g}")
         if self.down_deg is not None and not -90 <= self.down_deg <= 90:
             raise ValueError(f"a camera looks -90..90 degrees below the nose, not {self.down_deg:g}")
+        if self.calibration:
+            read_calibration(Path(self.calibration))  # so that a bad file is refused before anything starts
 
     @property
     def down_rad(self) -> float:
@@ -47,7 +53,9 @@ class CameraConfig:
         return math.radians(MOUNT_DEG if self.down_deg is None else self.down_deg)
 
     def intrinsics(self, width: int, height: int) -> Intrinsics:
-        """The pinhole for images of this size."""
+        """The lens for images of this size.  Raises ValueError for a calibration of another aspect ratio."""
+        if self.calibration:
+            return fitted(read_calibration(Path(self.calibration)), width, height)
         return Intrinsics.from_fov(width, height, math.radians(self.fov_deg))
 
 

@@ -63,7 +63,7 @@ class Scenario:
     drop_fraction: float = 0.0
     wind: Wind = CALM
     optics: Optics = field(default_factory=Optics)
-    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
     fov_rad: float = math.radians(80.0)
     light: float = 1.0
 

@@ -14,7 +14,7 @@ MAY_IMPORT = {
     "geometry": set(),
     "ranges": set(),
     "loop": {"messages", "camera", "link"},
-    "config": SPOKEN | {"control", "safety", "recording"},
+    "config": SPOKEN | {"camera", "control", "safety", "recording"},
     "camera": SPOKEN,
     "link": SPOKEN,
     "control": SPOKEN,

@@ -7,7 +7,8 @@ from typing import Annotated
 
 import tyro
 
-from follow.config import Config, TargetKind
+from follow.config import CameraConfig, Config, TargetKind
+from follow.geometry import Intrinsics
 from follow.messages import Autopilot
 from racf.box import Box
 from racf.commandline import UsageError
@@ -193,6 +194,14 @@ class InspectCommand:
 
 
 Command = ReplayCommand | SimCommand | RunCommand | DoctorCommand | InspectCommand
+
+
+def lens_of(camera: CameraConfig, width: int, height: int) -> Intrinsics:
+    """The lens that the settings describe, for frames of that size; raises UsageError."""
+    try:
+        return camera.intrinsics(width, height)
+    except ValueError as error:
+        raise UsageError(f"camera.calibration {camera.calibration!r}: {error}") from None
 
 
 def box_of(text: str) -> Box:

@@ -6,7 +6,7 @@ from dataclasses import replace
 from follow.camera import Camera
 from follow.camera.video import ReplayCamera, is_live, open_replay
 from follow.camera.window import WindowCamera
-from follow.cli.commands import ReplayCommand, box_of
+from follow.cli.commands import ReplayCommand, box_of, lens_of
 from follow.cli.settings import as_toml
 from follow.config import Config, resolve
 from follow.control.footage import FootageTarget
@@ -46,7 +46,7 @@ def replay(command: ReplayCommand) -> None:
     with footage:
         link = ReplayLink(footage.fps, REPLAY_HEIGHT_M, command.autopilot, holds_place=command.ptz)
         camera: Camera = footage
-        lens = config.camera.intrinsics(*footage.size)
+        lens = lens_of(config.camera, *footage.size)
         ptz = windowed(footage, link, box, config) if command.ptz else None
         score = FootageScore(truth, Box(0, 0, *footage.size), (lambda: ptz.window) if ptz else None)
         if ptz is not None:
@@ -80,7 +80,7 @@ def replay(command: ReplayCommand) -> None:
 def windowed(footage: ReplayCamera, link: ReplayLink, target: Box, config: Config) -> WindowCamera:
     """The virtual camera on the footage, at first centred on the target."""
     width, height = footage.size
-    lens = config.camera.intrinsics(width, height)
+    lens = lens_of(config.camera, width, height)
     window = (width // PTZ_SHARE, height // PTZ_SHARE)
     # As far away as flat ground is in the middle of the image: so far a climb moves the view.
     range_m = REPLAY_HEIGHT_M / max(math.sin(config.camera.down_rad), 0.1)

@@ -10,12 +10,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from follow.camera import Camera
+from follow.camera.calibration import described
 from follow.camera.realtime import RealTime
 from follow.camera.video import LiveVideo, is_live, open_replay
-from follow.cli.commands import RunCommand, box_of
+from follow.cli.commands import RunCommand, box_of, lens_of
 from follow.cli.layers import SCENE
 from follow.cli.settings import as_toml
-from follow.cli.sim import Referee, scene_camera
+from follow.cli.sim import Referee, believed_camera, scene_camera
 from follow.config import CameraConfig, Config, resolve
 from follow.control.acquire import Acquire
 from follow.control.image_motion import ImageMotionMeter
@@ -66,7 +67,7 @@ def open_camera(command: RunCommand, link: Link, report: Notify) -> OpenCamera:
         camera, delay_s = LiveVideo(command.camera, report, mount.delay_s), mount.delay_s
     else:
         camera, delay_s = RealTime(open_replay(command.camera, None, report)), 0.0
-    lens = mount.intrinsics(*camera.size)
+    lens = lens_of(mount, *camera.size)
     config = resolve(command.config, lens, mount.down_rad, delay_s)
     return OpenCamera(camera, lens, mount.down_rad, box_of(command.target or ""), config)
 
@@ -79,8 +80,8 @@ def open_scene(command: RunCommand, link: Link, drawn: CameraConfig | None = Non
     scenario = SCENARIOS[command.camera.removeprefix(SCENE)]
     scenario = replace(scenario, duration_s=max(command.seconds or LONG_S, scenario.duration_s))
     autopilot = link.state().autopilot or Autopilot.PX4
-    believed = scene_camera(scenario, autopilot, command.config.camera)
-    mount = scene_camera(scenario, autopilot, drawn) if drawn else believed
+    believed = believed_camera(scenario, autopilot, command.config.camera)
+    mount = scene_camera(scenario, autopilot, drawn or command.config.camera)
     camera, _ = build_live(scenario, command.seed, autopilot, link, mount)
     target = box_of(command.target) if command.target is not None else camera.first()[1]
     config = resolve(command.config, believed.intrinsics, believed.down_rad, believed.latency_s)
@@ -176,6 +177,8 @@ def prepare(command: RunCommand, link: MavlinkLink, report: Notify) -> PreparedF
     red = unwaived(inspect(command, link), command.waive, report)
     seen = open_camera(command, link, report)
     tracker = acquire(command.tracker, seen.target)
+    if path := command.config.camera.calibration:
+        report(f"lens by {path}: {described(seen.lens)}")
     if line := height_line(seen.config):
         report(line)
     if red:

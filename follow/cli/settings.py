@@ -108,6 +108,8 @@ def _value(default: object, value: object, source: str, name: str) -> object:
             except OverflowError:  # an integer of 400 digits
                 wanted = "a number below 1e308"
         fits = False
+    elif isinstance(default, str) and not isinstance(default, Enum):
+        wanted, fits = "a text", isinstance(value, str)
     elif isinstance(default, Enum):
         known = {str(choice.value): choice for choice in type(default)}
         if isinstance(value, str) and value in known:
@@ -155,4 +157,6 @@ def literal(value: object) -> str:
         return json.dumps(value.value)
     if isinstance(value, bool):
         return str(value).lower()
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)
     return repr(float(value)) if isinstance(value, float) else repr(value)  # float(): numpy's repr bears its type

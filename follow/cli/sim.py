@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import cast
 
-from follow.cli.commands import SimCommand
+from follow.cli.commands import SimCommand, lens_of
 from follow.cli.settings import as_toml
 from follow.config import CameraConfig, Config, resolve
 from follow.control.image_motion import ImageMotionMeter
@@ -79,7 +79,7 @@ class Referee:
 def simulate(flight: FlightSpec, terminal: Terminal, *, bar: bool) -> tuple[Figures, bool]:
     """Fly in the simulator; the summary, and whether it was flown to its end."""
     scenario, config = SCENARIOS[flight.scenario], flight.config
-    believed = scene_camera(scenario, flight.autopilot, config.camera)
+    believed = believed_camera(scenario, flight.autopilot, config.camera)
     drawn = scene_camera(scenario, flight.autopilot, flight.drawn or config.camera)
     camera, link, world = build(scenario, flight.seed, flight.autopilot, drawn)
     lens, down_rad = believed.intrinsics, believed.down_rad
@@ -115,9 +115,23 @@ def simulate(flight: FlightSpec, terminal: Terminal, *, bar: bool) -> tuple[Figu
 
 
 def scene_camera(scenario: Scenario, autopilot: Autopilot, camera: CameraConfig) -> CameraSettings:
-    """A drawn scene's camera as the settings describe it; the scenario's own mount unless they give another."""
+    """A drawn scene's camera as the settings describe it; the scenario's own mount unless they give another.
+
+    A calibration is what is believed of a lens, not what is drawn: that is the scenario's lens with `fov_deg`.
+    """
     down_rad = None if camera.down_deg is None else camera.down_rad
     return scenario.camera_settings(autopilot, math.radians(camera.fov_deg), down_rad, camera.delay_s)
+
+
+def believed_camera(scenario: Scenario, autopilot: Autopilot, camera: CameraConfig) -> CameraSettings:
+    """A drawn scene's camera as it is believed to be: with the lens of the calibration, if there is one, else as drawn.
+
+    Raises UsageError for a calibration that does not fit the drawn frames.
+    """
+    drawn = scene_camera(scenario, autopilot, camera)
+    if not camera.calibration:
+        return drawn
+    return replace(drawn, intrinsics=lens_of(camera, drawn.intrinsics.width, drawn.intrinsics.height))
 
 
 def rounded(scored: FlightScore) -> Figures:

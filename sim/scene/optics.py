@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from follow.geometry import Intrinsics, distort, undistort
+from follow.geometry import Intrinsics, LensModel, distort, undistort
 from racf.box import Box
 from sim.scene.drawing import View
 from sim.scene.ground import Image
@@ -34,7 +34,7 @@ class Lens:
 
     def __init__(self, camera: Intrinsics) -> None:
         self.camera = camera
-        self.bent = any(camera.distortion)
+        self.bent = camera.is_bent
         self.ideal = camera
         if not self.bent:
             return
@@ -51,7 +51,8 @@ class Lens:
             height=camera.height + 2 * y,
             cx=camera.cx + x,
             cy=camera.cy + y,
-            distortion=(0.0,) * 5,
+            distortion=(),
+            model=LensModel.PINHOLE,
         )
         self._from_x = (flat[:, 0] + x - 0.5).reshape(rows.shape).astype(np.float32)
         self._from_y = (flat[:, 1] + y - 0.5).reshape(rows.shape).astype(np.float32)
