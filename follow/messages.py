@@ -237,6 +237,8 @@ class Cause(str, Enum):
     OBSERVE_ORDERED = "OBSERVE ordered by {what}"
     LEAVING = "leaving: {what}"
     STICK = "the pilot moved a stick"
+    JOYSTICK = "the pilot moved a stick of {what}"
+    STICK_JUMPED = "a stick jumped to its end, as when a receiver loses its transmitter"
     OTHER_SENDER = "{what}"
     OBEYS = "the autopilot obeys"
     REFUSED = "the autopilot refused: {what}"
@@ -255,6 +257,10 @@ class Cause(str, Enum):
     NOT_OBEYING = "the vehicle does not fly what is sent: {what}"
     CONTRADICTION = "{what}"
     NO_HEADING = "the heading is invalid"
+
+
+PILOTS_STICK = (Cause.STICK, Cause.JOYSTICK)
+"""A person moved a stick, so the vehicle goes to a mode in which sticks act."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,20 +36,24 @@ class FlyingLink(Link, Protocol):
         ...
 
     def hold(self, *, for_sticks: bool = False) -> object:
-        """Request Hold or BRAKE, or the mode in which the sticks act, if the vehicle still obeys us."""
+        """Request Hold or BRAKE, or the mode in which the sticks act, if the vehicle obeys us or holds for us."""
         ...
 
 
 def taking_and_giving(ticks: Iterable[Tick], link: FlyingLink) -> Iterator[Tick]:
-    """Pass the ticks on; request our mode when the gate begins to engage, the pilot's when a stick ended the stream."""
-    before = Mode.OBSERVE
+    """Pass the ticks on; request our mode as the gate begins to engage, the pilot's when a stick ends the stream.
+
+    A stick that moves after the end asks for the pilot's mode also.
+    """
+    before, was_released = Mode.OBSERVE, False
     for tick in ticks:
         mode = tick.decision.mode
+        released = mode is Mode.ENDED and tick.decision.release is Release.STICKS
         if mode is Mode.ENGAGE is not before:
             link.take_control()
-        elif mode is Mode.ENDED is not before and tick.decision.release is Release.STICKS:
+        elif released and not was_released:
             link.hold(for_sticks=True)
-        before = mode
+        before, was_released = mode, released
         yield tick
 
 

@@ -184,6 +184,9 @@ def _senders(client: MavlinkClient, now_s: float) -> list[Finding]:
         findings.append(Finding("second-sender", Health.RED, f"{text} also steers this vehicle", "stop that program"))
     else:
         findings.append(Finding("second-sender", Health.OK, "nobody else is heard steering"))
+    if heard.joysticks:
+        text = f"{listed(sorted(heard.joysticks))} sends sticks: moving one ends FOLLOW"
+        findings.append(Finding("joystick", Health.OK, text))
     if heard.companions:
         text = f"{listed(sorted(heard.companions))} is another onboard computer"
         findings.append(Finding("companions", Health.WARN, text, "stop it, unless it only reads"))

@@ -58,6 +58,7 @@ class MavlinkClient:
         self._in_control = False
         self._request: ModeRequest | None = None
         self._refusal = ""
+        self._is_held = False  # in the Hold or BRAKE that we requested
         self._stream_since_t_s = NEVER
         self._stream_t_s = NEVER
         self._is_barred = False  # after a pause while in control no setpoint is sent until control is taken again
@@ -196,11 +197,15 @@ class MavlinkClient:
         """Give the vehicle back if it obeys us or may soon; returns whether a request may follow.
 
         Requests Hold or BRAKE, or with `for_sticks` the mode that lets the pilot's sticks act, as soon as a heartbeat
-        newer than this call shows that the vehicle is still in our mode.  In any other mode somebody else flies.
+        newer than this call shows that the vehicle is still in our mode.  For the sticks it may also be in the Hold or
+        BRAKE that was requested here.  In any other mode somebody else flies.
         """
         if self._vehicle.state.autopilot is None:
             return False
         names, request = self._names(), self._request
+        if for_sticks and self._is_held and request is None:
+            self._request = ModeRequest(names.sticks, (names.hold,), self._t_s, since_t_s=self._t_s)
+            return True
         mode = names.sticks if for_sticks else names.hold
         if request is not None and request.mode != names.control:
             if for_sticks and not request.times:
@@ -306,10 +311,13 @@ class MavlinkClient:
         if request is not None and self._vehicle.state.heartbeat_t_s > request.cause_t_s:
             if mode == request.mode and request.times:
                 self._in_control = mode == self._names().control
+                self._is_held = mode == self._names().hold
                 self._request = None
             elif mode not in request.from_modes and request.mode != mode:
                 self._request = None  # somebody chose another mode meanwhile: theirs counts
             elif mode == request.mode != self._names().control:
                 self._request = None  # it is there already, by somebody else's choice or a failsafe
+        if self._is_held and mode != self._names().hold:
+            self._is_held = False
         if self._in_control and (mode != self._names().control or not self._vehicle.state.armed):
             self._in_control = False  # also after a disarm it is not ours again without an order

@@ -27,12 +27,13 @@ class ModeRequest:
     since_t_s: float | None = None
 
     def may_send(self, now: VehicleState, t_s: float, control: str, streaming_s: float | None, answered: bool) -> bool:
-        """Whether the command is due: for `control` while setpoints stream, for Hold on news that control is ours."""
+        """Whether the command is due: for `control` while setpoints stream, else while the mode is still ours."""
         if t_s < self.next_t_s or self.times == TIMES or (self.times and answered) or now.autopilot is None:
             return False
         if self.mode == control:
             return streaming_s is not None and streaming_s >= STREAM_BEFORE_S[now.autopilot]
-        return now.heartbeat_t_s > self.cause_t_s and now.mode == control
+        ours = control if control in self.from_modes else self.from_modes[0]
+        return now.heartbeat_t_s > self.cause_t_s and now.mode == ours
 
     def sent(self, heartbeat_t_s: float, t_s: float) -> None:
         """Note that the command was sent at `t_s`, when the newest heartbeat was of `heartbeat_t_s`."""

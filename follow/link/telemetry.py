@@ -49,8 +49,8 @@ JUMP_M = 0.5  # a position further than this from where the velocity leads is a 
 JUMP_GAP_S = 1.0  # over a longer gap the velocity says nothing of where the vehicle should be
 ACCEL_M_S2 = 10.0  # more than a multirotor accelerates: how far the velocity may mislead over a gap
 METRES_PER_DEGREE = 111_319.5  # of latitude, WGS 84 equator; home is near enough
-STICK_MOVED = 300  # of 1000: 30 %, the default of PX4's COM_RC_STICK_OV
-STICK_MOVED_US = 150  # the same in PWM
+CENTRE_US = 1500  # PWM of a stick at rest
+NOT_OVERRIDDEN = (0, 0xFFFF)  # RC_CHANNELS_OVERRIDE: this channel is left to the remote control
 
 
 @dataclass(slots=True)
@@ -59,6 +59,7 @@ class LinkObservations:
 
     counts: Counter[str] = field(default_factory=Counter[str])  # the vehicle's messages by type
     steering: dict[tuple[int, int], float] = field(default_factory=dict)  # other senders of setpoints, last heard at
+    joysticks: dict[tuple[int, int], tuple[float, tuple[int, ...]]] = field(default_factory=dict)
     companions: set[tuple[int, int]] = field(default_factory=set)  # other onboard computers
     vehicles: set[int] = field(default_factory=set)  # system ids of multirotors with PX4 or ArduPilot
     senders: dict[tuple[int, int], tuple[int, int]] = field(default_factory=dict)  # of HEARTBEAT: (type, autopilot)
@@ -94,8 +95,10 @@ class TelemetryDecoder:
         source = message.get_srcSystem(), message.get_srcComponent()
         if isinstance(message, dialect.MAVLink_heartbeat_message):
             self._meet(message, source)
-        elif is_steering(message) and self._is_for_vehicle(message):
+        elif self._is_for_vehicle(message) and kind in SETPOINT_TYPES:
             self.heard.steering[source] = t_s
+        elif self._is_for_vehicle(message) and kind in STICKS_OF:
+            self.heard.joysticks[source] = t_s, STICKS_OF[kind](message)
         if source != (self.system_id, AUTOPILOT):
             return
         self.watch.hear(message.get_seq(), t_s, self.clock.restarts)
@@ -304,15 +307,23 @@ class TelemetryDecoder:
     """Message type -> the method that uses it."""
 
 
-def is_steering(message: Any) -> bool:
-    """Whether a message steers a vehicle: a setpoint, or a joystick that is not at rest (its throttle may rest low)."""
-    kind = message.get_type()
-    if kind == "MANUAL_CONTROL":
-        return any(STICK_MOVED < abs(axis) <= 1000 for axis in (message.x, message.y, message.r))
-    if kind == "RC_CHANNELS_OVERRIDE":
-        sticks = message.chan1_raw, message.chan2_raw, message.chan4_raw  # 0 and 65535: not overridden
-        return any(800 <= pwm <= 2200 and abs(pwm - 1500) > STICK_MOVED_US for pwm in sticks)
-    return kind in SETPOINT_TYPES
+def joystick(message: Any) -> tuple[int, ...]:
+    """The sticks of a MANUAL_CONTROL as PWM: pitch, roll, throttle, yaw."""
+    axes = message.x, message.y, message.z, message.r
+    return tuple(CENTRE_US + axis // 2 if abs(axis) <= 1000 else CENTRE_US for axis in axes)
+
+
+def overridden(message: Any) -> tuple[int, ...]:
+    """The sticks of an RC_CHANNELS_OVERRIDE as PWM, channels 1 to 4; one left alone counts as at rest."""
+    sticks = message.chan1_raw, message.chan2_raw, message.chan3_raw, message.chan4_raw
+    return tuple(CENTRE_US if pwm in NOT_OVERRIDDEN else pwm for pwm in sticks)
+
+
+STICKS_OF: dict[str, Callable[[Any], tuple[int, ...]]] = {
+    "MANUAL_CONTROL": joystick,
+    "RC_CHANNELS_OVERRIDE": overridden,
+}
+"""Message type of a ground station's sticks -> their positions."""
 
 
 def jumped(state: VehicleState, position: tuple[float, ...], measured_t_s: float) -> tuple[float, float, float] | None:

@@ -20,16 +20,16 @@ from typing_extensions import Self
 
 from follow.messages import NEVER, Cause, Instruction, Mode, Notify, Order, Reason, Tick, VehicleState
 from follow.operator.mode_changes import ModeChanges
+from follow.operator.sticks import PWM, StickWatch
 from follow.safety.modes import STREAMING
 
 SWITCH_ON_US = 1700  # PWM above which a switch is on; between the two it keeps its state
 SWITCH_OFF_US = 1300
-STICK_US = 150  # 30 % of a stick's travel from the centre: the default of PX4's COM_RC_STICK_OV
-STICKS = 4  # channels 1 to 4, in any order
-PWM = range(800, 2201)  # valid pulses; 0 and 65535 mean that the channel does not exist
 RECENT_S = 2.0  # timeout of messages from the remote control and from other senders
 EDGE_S = 0.3  # a switch must keep its new position for this long: one wrong sample is not an order
-STICK_SAMPLES = 2  # a stick must be off its position in this many samples in a row
+
+HOLDING = ("HOLD", "BRAKE")
+"""The modes that this program requests as a stream ends; in ArduPilot's BRAKE no stick acts."""
 
 KEYS = {"f": Order.FOLLOW, "o": Order.OBSERVE, " ": Order.OBSERVE}
 """Keys in the terminal; `q` ends the flight, `h` and `?` list the keys."""
@@ -43,22 +43,21 @@ class RemoteObservations(Protocol):
     rc_channels: tuple[int, ...]
     rc_t_s: float
     steering: dict[tuple[int, int], float]
+    joysticks: dict[tuple[int, int], tuple[float, tuple[int, ...]]]
 
 
 @dataclass(slots=True)
 class Remote:
-    """The remote control: the state of its switch, and the positions of the sticks when FOLLOW was ordered."""
+    """The remote control: the state of its switch, and its sticks."""
 
     channel: int | None = None  # from 1; None: no switch
     was_on: bool | None = None
     turning: tuple[bool, float] | None = None  # a new position of the switch, and since when
-    sticks: tuple[int, ...] | None = None
-    off_centre: int = 0  # samples in a row with a stick off its position
-    t_s: float = NEVER  # of the last sample
+    sticks: StickWatch = field(default_factory=StickWatch)
 
     def forget(self) -> None:
         """The remote control was lost: where its switch stands afterwards is not an order."""
-        self.was_on, self.turning, self.off_centre = None, None, 0
+        self.was_on, self.turning, self.sticks.off_rest = None, None, 0
 
     def switched(self, channels: tuple[int, ...], t_s: float) -> Order | None:
         """The order that the switch has just given.  The switch's initial position is not an order."""
@@ -77,20 +76,6 @@ class Remote:
         if before is None:
             return None
         return Order.FOLLOW if is_on else Order.OBSERVE
-
-    def stick_moved(self, channels: tuple[int, ...], watching: bool, t_s: float) -> bool:
-        """Whether a stick has left its position at the start of FOLLOW (a throttle rests at its lower end)."""
-        sticks = channels[:STICKS]
-        if not watching:
-            self.sticks, self.off_centre = None, 0
-        if not watching or len(sticks) < STICKS or any(pwm not in PWM for pwm in sticks):
-            return False  # no valid pulses: keep the positions from before the gap
-        if self.sticks is None:
-            self.sticks = sticks
-        is_off = any(abs(now - before) > STICK_US for now, before in zip(sticks, self.sticks, strict=True))
-        if t_s > self.t_s:
-            self.off_centre, self.t_s = (self.off_centre + 1 if is_off else 0), t_s
-        return self.off_centre >= STICK_SAMPLES
 
 
 @dataclass(slots=True)
@@ -113,6 +98,7 @@ class Operator:
     remote: Remote = field(init=False)
     changes: ModeChanges = field(init=False)
     waiting: list[tuple[Order, str]] = field(default_factory=list[tuple[Order, str]])
+    joysticks: dict[tuple[int, int], StickWatch] = field(default_factory=dict[tuple[int, int], StickWatch])
 
     def __post_init__(self) -> None:
         self.remote = Remote(self.channel)
@@ -174,23 +160,39 @@ class Operator:
         return True
 
     def taken_back(self) -> Reason | None:
-        """Why the vehicle must be given back: a stick moved, or another sender steers while we stream."""
+        """Why the vehicle must be given back: a stick moved, or another sender steers while we stream.
+
+        Sticks also count after the stream has ended in a mode in which they do not act.
+        """
         streaming = self.mode in STREAMING
         if self.heard is None:
             return None
         healthy = self.hears_remote()
         waiting = self.reason is not None and self.reason.cause is Cause.ORDER_WAITS
-        channels = self.heard.rc_channels if healthy else ()
-        if self.remote.stick_moved(channels, streaming or waiting, self.heard.rc_t_s):
-            return Reason(Cause.STICK)
+        held = self.mode is Mode.ENDED and self.state.mode in HOLDING
+        reason = self.stick(self.heard, streaming or waiting or held, healthy)
+        if reason is not None and not (held and reason.cause is Cause.STICK_JUMPED):
+            return reason
         others = self.other_senders()
         return Reason(Cause.OTHER_SENDER, "; ".join(others)) if streaming and others else None
+
+    def stick(self, heard: RemoteObservations, watching: bool, healthy: bool) -> Reason | None:
+        """The reason of a moved stick: of the remote control, or of a ground station."""
+        remote = self.remote.sticks
+        if remote.moved(heard.rc_channels if healthy else (), watching, heard.rc_t_s):
+            return Reason(Cause.STICK_JUMPED if remote.has_jumped else Cause.STICK)
+        for (system, component), (t_s, channels) in sorted(heard.joysticks.items()):
+            watch = self.joysticks.setdefault((system, component), StickWatch())
+            recent = self.is_recent(t_s)
+            if watch.moved(channels if recent else (), watching, t_s):
+                return Reason(Cause.JOYSTICK, f"system {system} component {component}")
+        return None
 
     def other_senders(self) -> tuple[str, ...]:
         """One line for each other sender that steers the vehicle now."""
         steering = self.heard.steering if self.heard is not None else {}
         return tuple(
-            f"system {system} component {component} also steers, by setpoints or sticks"
+            f"system {system} component {component} also steers, by setpoints"
             for (system, component), t_s in sorted(steering.items())
             if self.is_recent(t_s)
         )

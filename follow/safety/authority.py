@@ -6,7 +6,18 @@ or a refusal, and it is refused at once if what forbids it cannot pass by itself
 
 from dataclasses import dataclass, replace
 
-from follow.messages import NEVER, NO_INSTRUCTION, Cause, Instruction, Mode, Order, Reason, Release, VehicleState
+from follow.messages import (
+    NEVER,
+    NO_INSTRUCTION,
+    PILOTS_STICK,
+    Cause,
+    Instruction,
+    Mode,
+    Order,
+    Reason,
+    Release,
+    VehicleState,
+)
 from follow.safety.checks import Hindrance
 from follow.safety.limits import Limits
 from follow.safety.modes import FLYING, STREAMING, Event, after, standing
@@ -102,7 +113,7 @@ def entered(now: Authority, mode: Mode, reason: Reason, facts: Facts) -> Authori
         mode=mode,
         since_s=facts.state.t_s,
         reason=reason,
-        release=Release.STICKS if reason.cause is Cause.STICK else Release.HOLD,
+        release=Release.STICKS if reason.cause in PILOTS_STICK else Release.HOLD,
         order=None if mode in STREAMING or now.mode in STREAMING else now.order,
         engaged_from=facts.state.mode if mode is Mode.ENGAGE else now.engaged_from,
         last=reason if mode is Mode.BRAKE and reason.cause in final else None,
@@ -119,6 +130,9 @@ def heard(now: Authority, facts: Facts) -> Authority:
     if order is Order.FOLLOW and (now.mode not in STREAMING or now.mode is Mode.HOLD):
         pending = PendingOrder(facts.instruction.reason.what, facts.state.t_s, facts.state.mode)
         return replace(now, order=pending)
+    if now.mode is Mode.ENDED and facts.instruction.reason.cause in PILOTS_STICK:
+        # The vehicle may hover in the Hold or BRAKE that we requested, where the pilot's sticks do nothing.
+        return replace(now, order=None, release=Release.STICKS, reason=facts.instruction.reason)
     return now if order is None or order is Order.FOLLOW else replace(now, order=None)
 
 

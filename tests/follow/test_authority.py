@@ -242,6 +242,27 @@ def test_a_stick_asks_for_the_mode_in_which_sticks_act_and_all_else_for_hold():
     assert Safety(LIMITS, gate).allow(HOVER, estimate, state, referee.t_s, key).release is Release.HOLD
 
 
+def test_a_stick_after_the_end_gives_the_sticks_back():
+    referee = Referee(Autopilot.ARDUPILOT, "LOITER")
+    for r in (*FOLLOWING, calm(order=Order.OBSERVE), calm()):
+        referee.play(r)
+    stick = Instruction(Order.OBSERVE, Reason(Cause.STICK))
+    estimate = Estimate(referee.t_s, 0.0, 0.4, 12.0, 0.5, seen_t_s=referee.t_s)
+    decision = referee.gate.allow(HOVER, estimate, referee.state(calm()), referee.t_s, stick)
+    assert (decision.mode, decision.setpoint, decision.release) == (Mode.ENDED, None, Release.STICKS)
+    assert decision.reason == Reason(Cause.STICK)
+
+
+def test_a_jumped_stick_asks_for_hold():
+    referee = Referee(Autopilot.ARDUPILOT, "LOITER")
+    for r in FOLLOWING:
+        referee.play(r)
+    jumped = Instruction(Order.OBSERVE, Reason(Cause.STICK_JUMPED))
+    estimate = Estimate(referee.t_s, 0.0, 0.4, 12.0, 0.5, seen_t_s=referee.t_s)
+    decision = referee.gate.allow(HOVER, estimate, referee.state(calm()), referee.t_s, jumped)
+    assert (decision.setpoint, decision.release) == (None, Release.HOLD)
+
+
 def test_a_battery_that_recovers_under_less_load_does_not_resume_the_flight():
     assert reason_after(*FOLLOWING, calm(battery=BatteryLevel.LOW), *[calm()] * 15)[0] is not Mode.FOLLOW
 

@@ -72,6 +72,23 @@ def test_for_the_pilots_sticks_a_mode_in_which_they_act_is_requested(autopilot, 
 
 
 @BOTH
+def test_sticks_are_given_back_out_of_the_hold_that_was_requested_here_and_out_of_no_other(autopilot):
+    pair = Pair(autopilot).fly()
+    pair.setpoint = None
+    pair.run(2.0)
+    assert pair.state.mode == MODES_OF[autopilot].hold
+    modes = requested(pair)
+    assert pair.client.hold(for_sticks=True)
+    pair.run(2.0)
+    assert modes == [MANUAL[autopilot]]
+    pair.system.flight.enter(MODES_OF[autopilot].hold)  # the pilot's own choice
+    pair.run(2.0)
+    assert not pair.client.hold(for_sticks=True)
+    pair.run(2.0)
+    assert modes == [MANUAL[autopilot]]
+
+
+@BOTH
 def test_a_refused_takeover_gives_its_reason_and_no_request_for_hold_follows(autopilot):
     pair = Pair(autopilot)
     pair.system.flight.enter(MANUAL[autopilot])

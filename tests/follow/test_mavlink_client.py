@@ -267,6 +267,18 @@ def test_a_second_sender_of_setpoints_is_seen():
     assert pair.client.heard.steering == {(1, 192): pair.t_s}
 
 
+def test_a_ground_stations_sticks_are_sticks_and_not_setpoints():
+    pair = Pair(Autopilot.PX4)
+    pair.run(2.0)
+    mav = dialect.MAVLink(None, 255, 190)
+    pair.client.receive(mav.manual_control_encode(1, 500, -1000, 0, 0x7FFF, 0).pack(mav), pair.t_s)
+    assert pair.client.heard.joysticks == {(255, 190): (pair.t_s, (1750, 1000, 1500, 1500))}
+    override = mav.rc_channels_override_encode(1, 1, 1200, 0, 1000, 0xFFFF, *(0,) * 4)
+    pair.client.receive(override.pack(mav), pair.t_s)
+    assert pair.client.heard.joysticks[255, 190] == (pair.t_s, (1200, 1500, 1000, 1500))
+    assert not pair.client.heard.steering
+
+
 @pytest.mark.parametrize("boot_s", [0.0, 100.0, 5e4])
 def test_measurement_times_are_ours_whatever_the_vehicles_clock(boot_s):
     pair = Pair(Autopilot.PX4)

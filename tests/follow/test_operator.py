@@ -35,6 +35,7 @@ class Ears:
     rc_channels: tuple[int, ...] = ()
     rc_t_s: float = 0.0
     steering: dict[tuple[int, int], float] = field(default_factory=dict)
+    joysticks: dict[tuple[int, int], tuple[float, tuple[int, ...]]] = field(default_factory=dict)
 
 
 @dataclass
@@ -176,13 +177,85 @@ def test_a_stick_that_leaves_its_place_takes_control_back(stick):
     assert d.be("follow") is Order.OBSERVE
 
 
+STATION = (255, 190)
+
+
+def with_joystick(sticks: tuple[int, ...]) -> tuple[Desk, Ears]:
+    """A desk that hears a ground station's sticks, and no remote control."""
+    ears = Ears(joysticks={STATION: (0.0, sticks)})
+    return desk(heard=ears), ears
+
+
+def stick_rounds(d: Desk, ears: Ears, sticks: tuple[int, ...], mode: str, rounds: int = 5) -> list[Reason]:
+    """Rounds with new samples of a ground station's sticks; the reasons of the orders given."""
+    found = []
+    for _ in range(rounds):
+        ears.joysticks[STATION] = d.t_s, sticks
+        instruction = d.round(mode)
+        found += [instruction.reason] if instruction.order is Order.OBSERVE else []
+    return found
+
+
+@pytest.mark.parametrize("rest", [(1500, 1500, 1500, 1500), CENTRED, (1900, 1300, 1000, 1500)])
+def test_a_ground_stations_stick_that_nobody_moves_forbids_nothing(rest):
+    d, ears = with_joystick(rest)
+    d.operator.order(Order.FOLLOW, "key f")
+    assert d.round("ready").order is Order.FOLLOW
+    assert stick_rounds(d, ears, rest, "follow", 30) == []
+    assert d.round("follow").forbids == ""
+
+
+@pytest.mark.parametrize("stick", range(4))
+def test_a_ground_stations_stick_takes_control_back_as_the_pilots(stick):
+    d, ears = with_joystick(CENTRED)
+    assert stick_rounds(d, ears, CENTRED, "follow") == []
+    moved = tuple(pwm + 200 * (i == stick) for i, pwm in enumerate(CENTRED))
+    reason = stick_rounds(d, ears, moved, "follow")[0]
+    assert str(reason) == "the pilot moved a stick of system 255 component 190"
+    assert d.round("ready").forbids == ""
+
+
+FAILSAFE = (1500, 1500, 988, 1500)
+
+
+def test_a_receivers_failsafe_is_not_a_pilot_who_moves_a_stick():
+    ears = Ears((1500, 1500, 1500, 1500))
+    d = desk(heard=ears)
+    assert d.hold("follow") == []
+    ears.rc_channels = FAILSAFE
+    given = [d.round("follow") for _ in range(5)]
+    assert next(i.reason.cause for i in given if i.order is Order.OBSERVE) is Cause.STICK_JUMPED
+
+
+@pytest.mark.parametrize("second", [(1500, 1500, 1040, 1500), (1500, 1500, 1320, 1500)])
+def test_a_stick_that_a_hand_moves_is_the_pilots(second):
+    ears = Ears((1500, 1500, 1500, 1500))
+    d = desk(heard=ears)
+    assert d.hold("follow") == []
+    ears.rc_channels = (1500, 1500, 1100 if second[2] < 1100 else 1330, 1500)
+    assert d.be("follow") is None
+    ears.rc_channels = second
+    assert d.round("follow").reason.cause is Cause.STICK
+
+
+def test_a_stick_after_the_end_counts_only_where_sticks_do_nothing():
+    ears = Ears(FAILSAFE)
+    d = desk(heard=ears)
+    d.vehicle_mode = "BRAKE"
+    assert d.hold("ended", 20) == []
+    ears.rc_channels = (*CENTRED[:2], 1500, 1500)  # the pilot is back
+    assert d.hold("ended", 3)[-1] is Order.OBSERVE
+    d.vehicle_mode = "LOITER"
+    assert d.hold("ended", 20) == []
+
+
 def test_another_sender_while_following_takes_control_back():
     ears = Ears()
     d = desk(heard=ears)
     assert d.be("follow") is None
     ears.steering[1, 195] = d.t_s
     assert d.be("follow") is Order.OBSERVE
-    assert d.round("follow").forbids == "system 1 component 195 also steers, by setpoints or sticks"
+    assert d.round("follow").forbids == "system 1 component 195 also steers, by setpoints"
 
 
 def test_signals_order_and_leave_and_the_second_leave_does_not_wait():

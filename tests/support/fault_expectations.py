@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from follow.messages import Autopilot
+from tests.support.bounds import Stop
 from tests.support.fault_rig import Outcome
 
 HOLD = {Autopilot.PX4: "HOLD", Autopilot.ARDUPILOT: "BRAKE"}
@@ -32,23 +33,20 @@ def silence(o: Outcome) -> str:
     return f"last setpoint after {max(o.silent_s, 0.0):.2f} s"
 
 
-# From 3 m/s the gate's ramp takes 1.5 s and 2.6 m; a PX4 without position control then drifts.
-
-
-def stopped(o: Outcome, within_s: float, within_m: float) -> list[str]:
+def stopped(o: Outcome, bound: Stop) -> list[str]:
     wrong = []
-    if o.stop_s is None or o.stop_s > within_s:
+    if o.stop_s is None or o.stop_s > bound.within_s:
         wrong.append(f"stood after {o.stop_s} s")
-    if o.stop_m > within_m:
+    if o.stop_m > bound.within_m:
         wrong.append(f"flew {o.stop_m:.1f} m on")
     return wrong
 
 
-def stops(within_s: float, within_m: float) -> Expectation:
+def stops(bound: Stop) -> Expectation:
     """It ramps down, the stream ends, Hold or BRAKE is requested (again only while there is no answer)."""
 
     def judge(o: Outcome, autopilot: Autopilot) -> list[str]:
-        wrong = stopped(o, within_s, within_m)
+        wrong = stopped(o, bound)
         if o.setpoints_at_end or o.gate_mode != "ended":
             wrong.append(f"the gate ended in {o.gate_mode}")
         if o.vehicle_mode != HOLD[autopilot]:
@@ -58,20 +56,29 @@ def stops(within_s: float, within_m: float) -> Expectation:
         return wrong
 
     must = "ramps to zero, ends the stream, requests Hold or BRAKE"
-    return Expectation(must, f"stands within {within_s:g} s, {within_m:g} m", judge, stand)
+    return Expectation(must, f"stands within {bound.within_s:g} s, {bound.within_m:g} m", judge, stand)
 
 
-def hovers(within_s: float, within_m: float) -> Expectation:
+def hovers(bound: Stop) -> Expectation:
     """It hovers and goes on streaming: the target may come back."""
 
     def judge(o: Outcome, autopilot: Autopilot) -> list[str]:
-        wrong = stopped(o, within_s, within_m)
+        wrong = stopped(o, bound)
         if not o.setpoints_at_end:
             wrong.append("the stream ended")
         return wrong
 
     must = "coasts, then hovers and searches, in control"
-    return Expectation(must, f"stands within {within_s:g} s, {within_m:g} m", judge, stand)
+    return Expectation(must, f"stands within {bound.within_s:g} s, {bound.within_m:g} m", judge, stand)
+
+
+def stands_still(within_m: float) -> Expectation:
+    """It hovers when the fault comes: it stays there, or its first movement gives the fault away."""
+
+    def judge(o: Outcome, autopilot: Autopilot) -> list[str]:
+        return [] if o.stop_m <= within_m else [f"flew {o.stop_m:.1f} m on"]
+
+    return Expectation("stays where it is", f"flies at most {within_m:g} m", judge, lambda o: f"{o.stop_m:.1f} m")
 
 
 def goes_on(off_m: float) -> Expectation:
@@ -128,11 +135,11 @@ def pilot_has_it(within_s: float) -> Expectation:
     return Expectation(must, f"last setpoint within {within_s:g} s", judge, silence)
 
 
-def lost_link(within_s: float, within_m: float) -> Expectation:
+def lost_link(bound: Stop) -> Expectation:
     """The vehicle hears nothing: its own failsafe stops it, and it is not taken again."""
 
     def judge(o: Outcome, autopilot: Autopilot) -> list[str]:
-        wrong = stopped(o, within_s, within_m)
+        wrong = stopped(o, bound)
         if o.setpoints_at_end or o.gate_mode != "ended":
             wrong.append(f"the gate ended in {o.gate_mode}")
         if o.vehicle_mode == "OFFBOARD":
@@ -140,7 +147,7 @@ def lost_link(within_s: float, within_m: float) -> Expectation:
         return wrong
 
     must = "the autopilot's failsafe stops it, and it is not taken again"
-    return Expectation(must, f"stands within {within_s:g} s, {within_m:g} m", judge, stand)
+    return Expectation(must, f"stands within {bound.within_s:g} s, {bound.within_m:g} m", judge, stand)
 
 
 def within(what: str, bound: str, value: Callable[[Outcome], float], holds: Callable[[float], bool]) -> Expectation:
@@ -153,6 +160,31 @@ def within(what: str, bound: str, value: Callable[[Outcome], float], holds: Call
         return wrong
 
     return Expectation(what, bound, judge, lambda o: f"{value(o):.1f}")
+
+
+def keeps(distance_m: float) -> Expectation:
+    """The true distance to the body, whatever the mode."""
+
+    def judge(o: Outcome, autopilot: Autopilot) -> list[str]:
+        return [] if o.nearest_m >= distance_m else [f"{o.nearest_m:.2f} m from the body"]
+
+    return Expectation(
+        "keeps its distance", f"never nearer than {distance_m:g} m", judge, lambda o: f"{o.nearest_m:.1f} m"
+    )
+
+
+def keeps_off(distance_m: float, height_m: float) -> Expectation:
+    """It goes on following, and keeps the distance to the body and the height above the ground."""
+
+    def judge(o: Outcome, autopilot: Autopilot) -> list[str]:
+        wrong = keeps(distance_m).judge(o, autopilot)
+        if o.lowest_m < height_m:
+            wrong.append(f"{o.lowest_m:.2f} m above the ground")
+        return wrong if o.setpoints_at_end else [*wrong, "the stream ended"]
+
+    must = "goes on following, keeps its distance and its height"
+    bound = f"never nearer than {distance_m:g} m, nor lower than {height_m:g} m"
+    return Expectation(must, bound, judge, lambda o: f"{o.nearest_m:.1f} m, {o.lowest_m:.1f} m high")
 
 
 def either(one: Expectation, other: Expectation) -> Expectation:

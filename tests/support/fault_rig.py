@@ -2,7 +2,8 @@
 
 The application's own session (`follow.flight.live_flight.fly`) with the real target, servo and gate, the MAVLink
 client in memory and the simulated autopilot with its rules.  Only the camera and the tracker are replaced: the tracker
-returns the true box unless a fault changes it.
+returns the true box unless a fault changes it.  With `view` the images show textured ground, and their motion is
+measured; without it they are noise.
 """
 
 import math
@@ -12,6 +13,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from follow.control.image_motion import ImageMotionMeter
 from follow.control.servo import Servo, ServoConfig
 from follow.control.target import Target
 from follow.flight.live_flight import Parts, fly
@@ -25,6 +27,7 @@ from racf.track import Track
 from sim.autopilot.system import AutopilotSystem
 from sim.dynamics import Vehicle, VehicleTruth
 from tests.support.fit import fit
+from tests.support.ground_view import look
 
 FRAME_S = 1 / 30
 SUBSTEPS = 4  # of a frame: telemetry of 50 Hz comes at its own times
@@ -69,6 +72,8 @@ class Rig:
     servo: ServoConfig = field(default_factory=ServoConfig)
     down_rad: float = DOWN_RAD
     height_m: float = HEIGHT_M
+    ground: Callable[[float, float], float] = lambda _north, _east: 0.0  # metres down at a place
+    view: bool = False
     at_once: bool = True
     t_s: float = 0.0
     jump_s: float = 0.0  # of the application's clock
@@ -117,7 +122,7 @@ class Rig:
         m = self.motion
         north, east = self.target_place(self.t_s)
         rotation = camera_to_ned(self.down_rad, m.roll_rad, m.pitch_rad, m.yaw_rad)
-        middle = [[north, east, -SIZE_M[1] / 2]]
+        middle = [[north, east, self.ground(north, east) - SIZE_M[1] / 2]]
         pixels, depth = project(LENS, rotation, (m.north_m, m.east_m, m.down_m), middle)
         x, y = pixels[0]
         if depth[0] < 0.5 or not (0 < x < LENS.width and 0 < y < LENS.height):
@@ -157,9 +162,15 @@ class Rig:
         index = 0
         while self.t_s < self.end_t_s:
             self.advance()
-            image = self._rounds.integers(0, 256, (4, 4, 3), np.uint8)  # never twice the same
-            yield self.see(Frame(image, self.now_s, index))
+            yield self.see(Frame(self.image(), self.now_s, index))
             index += 1
+
+    def image(self) -> np.ndarray:
+        """Never twice the same: noise, or what is to be seen with a little noise on it."""
+        if not self.view:
+            return self._rounds.integers(0, 256, (4, 4, 3), np.uint8)
+        seen = look(LENS, self.down_rad, self.motion)
+        return seen ^ self._rounds.integers(0, 4, seen.shape, np.uint8)
 
     def update(self, _image: np.ndarray, _prior: Box | None = None) -> Track:
         """As a tracker: the true box, or lost when it is not in the image."""
@@ -192,7 +203,8 @@ class Rig:
         """The whole flight, and at least two seconds beyond it as the link's own leaving has them."""
         servo = Wishing(Servo(self.down_rad, self.servo), self)
         limits = replace(self.limits, half_view_rad=LENS.horizontal_fov_rad / 2)
-        self.parts = Parts(self, self, self, Target(LENS, self.down_rad), servo, Safety(limits))
+        meter = ImageMotionMeter(LENS, self.down_rad) if self.view else None
+        self.parts = Parts(self, self, self, Target(LENS, self.down_rad), servo, Safety(limits), meter)
         self.advance(2.0)
         try:
             fly(self.parts, self.operator, self.ticks.append, pause=self.advance)
@@ -239,7 +251,8 @@ class Outcome:
 def to_body_m(rig: Rig, sample: Sample) -> float:
     """The true distance from the vehicle to the target's body, a vertical line from its feet to its head."""
     north, east = rig.target_place(sample.t_s)
-    above = max(-sample.motion.down_m - SIZE_M[1], 0.0)
+    feet = rig.ground(north, east)
+    above = max(feet - SIZE_M[1] - sample.motion.down_m, sample.motion.down_m - feet, 0.0)
     return math.hypot(north - sample.motion.north_m, east - sample.motion.east_m, above)
 
 
@@ -266,8 +279,8 @@ def outcome(rig: Rig) -> Outcome:
         setpoints_at_end=end.setpoints > after[max(after.index(end) - 30, 0)].setpoints,
         off_m=abs(to_target_m - rig.servo.standoff_m),
         fastest_m_s=max(speeds),
-        lowest_m=min(-s.motion.down_m for s in after),
-        highest_m=max(-s.motion.down_m for s in after),
+        lowest_m=min(rig.ground(s.motion.north_m, s.motion.east_m) - s.motion.down_m for s in after),
+        highest_m=max(rig.ground(s.motion.north_m, s.motion.east_m) - s.motion.down_m for s in after),
         nearest_m=min(to_body_m(rig, s) for s in after),
         farthest_m=max(math.hypot(s.motion.north_m, s.motion.east_m) for s in rig.samples),
     )

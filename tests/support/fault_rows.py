@@ -13,6 +13,7 @@ from follow.messages import Autopilot, Frame, Setpoint
 from follow.safety.gate import Limits
 from racf.box import Box
 from racf.track import Track
+from tests.support.bounds import RUN_M_S, STALE_FRAME_S, STALE_HEARTBEAT_S, STALE_POSITION_S, STREAM_LOSS_S, coast, stop
 from tests.support.fault_expectations import (
     Expectation,
     either,
@@ -39,6 +40,7 @@ class Row:
     rig: dict[str, object] = field(default_factory=dict)
     fast: bool = False
     follows: bool = True  # before the fault
+    autopilots: tuple[Autopilot, ...] = tuple(Autopilot)
 
     def fly(self, autopilot: Autopilot) -> "Result":
         """Fly it once and judge."""
@@ -85,6 +87,15 @@ def drop_for(seconds: float) -> Callable[[Rig], None]:
             return packets if rig.t_s > rig.fault_t_s + seconds else []
 
         rig.to_client = rig.to_autopilot = way
+
+    return inject
+
+
+def uplink_lost_for(seconds: float) -> Callable[[Rig], None]:
+    """Nothing that we send arrives; telemetry does."""
+
+    def inject(rig: Rig) -> None:
+        rig.to_autopilot = lambda packets: packets if rig.t_s > rig.fault_t_s + seconds else []
 
     return inject
 
@@ -319,7 +330,8 @@ def nothing(_rig: Rig) -> None:
 NEAR = replace(Limits(), fence_m=30.0)
 LOW = replace(Limits(), ceiling_m=11.0)
 PILOT_HAS_IT = pilot_has_it(2.2)
-STOP = stops(5.0, 7.0)
+STOP = stops(stop(RUN_M_S, STALE_FRAME_S))
+HOVER = hovers(coast(RUN_M_S))
 WITHIN_SPEED = within("exceeds no limit, in control", "8 m/s + 0.5 m/s", lambda o: o.fastest_m_s, lambda v: v < 8.5)
 
 ROWS = (
@@ -328,20 +340,20 @@ ROWS = (
     Row("camera repeats one frame", freeze, STOP, fast=True),
     Row("image goes black", black, STOP),
     Row("decoder error", decoder_error, STOP),
-    Row("target lost", lose, hovers(7.0, 12.0), fast=True),
+    Row("target lost", lose, HOVER, fast=True),
     Row("target lost for 1 s", lose_for(1.0), goes_on(3.0)),
     Row("tracker raises", tracker_raises, STOP, fast=True),
     Row("NaN box, refused by its constructor", refused, STOP),
-    Row("NaN box, forged", forged(math.nan), hovers(7.0, 12.0), fast=True),
-    Row("infinite box, forged", forged(math.inf), hovers(7.0, 12.0)),
-    Row("box jumps to something else", jump, hovers(7.0, 12.0), fast=True),
+    Row("NaN box, forged", forged(math.nan), HOVER, fast=True),
+    Row("infinite box, forged", forged(math.inf), HOVER),
+    Row("box jumps to something else", jump, HOVER, fast=True),
     Row("box hops to and fro", hop, goes_on(3.0)),
     Row("telemetry stops", deaf(), STOP, fast=True),
     Row("attitude stops", deaf(ATTITUDE), STOP),
-    Row("position stops", deaf(POSITION), STOP),
-    Row("heartbeat stops", deaf(HEARTBEAT), stops(8.0, 16.0)),
+    Row("position stops", deaf(POSITION), stops(stop(RUN_M_S, STALE_POSITION_S))),
+    Row("heartbeat stops", deaf(HEARTBEAT), stops(stop(RUN_M_S, STALE_HEARTBEAT_S))),
     Row("link drops for 0.3 s", drop_for(0.3), goes_on(3.0)),
-    Row("link drops for 5 s and returns", drop_for(5.0), lost_link(6.0, 10.0), fast=True),
+    Row("link drops for 5 s and returns", drop_for(5.0), lost_link(stop(RUN_M_S, STREAM_LOSS_S)), fast=True),
     Row("30 % loss both ways", lose_a_third, goes_on(3.0), fast=True),
     Row("packets duplicated and reordered", shuffle, goes_on(3.0)),
     Row("garbage bytes", garble, goes_on(3.0), fast=True),

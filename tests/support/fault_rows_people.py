@@ -8,16 +8,17 @@ from pymavlink.dialects.v20 import common as dialect
 from follow.control.servo import ServoConfig, ServoMode
 from follow.messages import Autopilot, Order
 from sim.autopilot.core import Result
+from tests.support.bounds import REMOTE_TOLD_S, RUN_M_S, STREAM_LOSS_S, stop
 from tests.support.fault_expectations import (
-    Expectation,
     falls_silent,
+    keeps,
     lost_link,
     never_streams,
     pilot_has_it,
     stops,
 )
 from tests.support.fault_rig import Rig, Way
-from tests.support.fault_rows import Row, deaf, lose, number
+from tests.support.fault_rows import STOP, Row, deaf, lose, nothing, number, uplink_lost_for
 
 EXTENDED_SYS_STATE, BATTERY_STATUS, SYS_STATUS = 245, 147, 1
 PILOTS_MODE = {Autopilot.PX4: "POSCTL", Autopilot.ARDUPILOT: "LOITER"}
@@ -99,15 +100,6 @@ def stick_with_orders_waiting(rig: Rig) -> None:
     rig.to_client = way
 
 
-def uplink_lost_for(seconds: float) -> Callable[[Rig], None]:
-    """Nothing that we send arrives; telemetry does."""
-
-    def inject(rig: Rig) -> None:
-        rig.to_autopilot = lambda packets: packets if rig.t_s > rig.fault_t_s + seconds else []
-
-    return inject
-
-
 def spoken(make: Callable[[Rig], dialect.MAVLink_message]) -> Callable[[Rig], Way]:
     """A way that adds a message of the vehicle's autopilot to each batch."""
 
@@ -163,21 +155,6 @@ def hides(speed_m_s: float) -> dict[str, object]:
     return {"path": path, "fault_t_s": 22.0, "end_t_s": 37.0}
 
 
-def keeps(distance_m: float) -> Expectation:
-    """The true distance to the body, whatever the mode."""
-
-    def judge(o, _autopilot) -> list[str]:
-        return [] if o.nearest_m >= distance_m else [f"{o.nearest_m:.2f} m from the body"]
-
-    return Expectation(
-        "keeps its distance", f"never nearer than {distance_m:g} m", judge, lambda o: f"{o.nearest_m:.1f} m"
-    )
-
-
-def nothing(_rig: Rig) -> None:
-    """No fault: what the target does is what the row tests."""
-
-
 AUTHORITY_ROWS = (
     *(
         Row(f"FOLLOW ordered in {mode}", order_in(mode), never_streams(), BY_HAND, mode == "RTL", follows=False)
@@ -196,10 +173,10 @@ AUTHORITY_ROWS = (
     Row("FOLLOW ordered below the floor", nothing, never_streams(), {"height_m": 1.5, "end_t_s": 22.0}, follows=False),
     Row("pilot's mode, then the switch off", pilot_and_switch, falls_silent(1.2, ("POSCTL", "LOITER")), fast=True),
     Row("pilot's stick with orders waiting", stick_with_orders_waiting, pilot_has_it(2.4)),
-    Row("uplink alone lost for 5 s", uplink_lost_for(5.0), lost_link(7.0, 12.0), fast=True),
-    Row("battery low, the autopilot only warns", low_battery_warns, stops(5.0, 7.0), fast=True),
-    Row("remote control lost, the autopilot does nothing", remote_lost, stops(7.0, 13.0)),
-    Row("two vehicles with the same id", same_id, stops(5.0, 7.0)),
+    Row("uplink alone lost for 5 s", uplink_lost_for(5.0), lost_link(stop(RUN_M_S, STREAM_LOSS_S)), fast=True),
+    Row("battery low, the autopilot only warns", low_battery_warns, STOP, fast=True),
+    Row("remote control lost, the autopilot does nothing", remote_lost, stops(stop(RUN_M_S, REMOTE_TOLD_S))),
+    Row("two vehicles with the same id", same_id, STOP),
 )
 
 DISTANCE_ROWS = (
