@@ -43,7 +43,8 @@ class Scenario:
 
     `height_m` and `standoff_m` (along the ground) are where it starts and what the servo is to keep; the camera is
     mounted so that the target is in the image's middle row there at `cruise_m_s`.  `limits` are the gate's limits that
-    differ in this flight, `size_m` is about the target's sqrt(width x height).
+    differ in this flight, `size_m` is about the target's sqrt(width x height), `middle_fraction` as the
+    setting of the target.
     """
 
     name: str
@@ -57,6 +58,7 @@ class Scenario:
     rolling_start: bool = False  # the vehicle already flies at the target's speed
     face_to_face: bool = False  # the vehicle starts before the target, not behind it
     size_m: float = 1.0
+    middle_fraction: float = 0.5
     limits: dict[str, float] = field(default_factory=dict)
     frames_per_s: float = 30.0
     latency_s: float = 0.0
@@ -85,7 +87,7 @@ class Scenario:
         """
         return {
             "camera": {"fov_deg": math.degrees(self.fov_rad), "delay_s": self.latency_s},
-            "target": {"size_m": self.size_m},
+            "target": {"size_m": self.size_m, "middle_fraction": self.middle_fraction},
             "servo": {"standoff_m": self.standoff_m},
             "limits": dict(self.limits),
         }
@@ -171,6 +173,7 @@ RIDE = replace(
     height_m=8.0,
     standoff_m=12.0,
     size_m=0.9,
+    middle_fraction=0.4,
     limits={"speed_m_s": 12.0, "fence_m": 600.0, "clear_distance": 0.0},
 )
 DRIVE = replace(
@@ -184,6 +187,7 @@ DRIVE = replace(
     height_m=15.0,
     standoff_m=22.0,
     size_m=2.5,
+    middle_fraction=0.15,
     fov_rad=math.radians(90.0),
     limits={"speed_m_s": 20.0, "fence_m": 900.0, "accel_m_s2": 4.0, "clear_distance": 0.0},
 )

@@ -25,8 +25,8 @@ LOW_M = 2.0
 BETTER = 0.7
 """The start counts again only when its ratio_std is this much lower: its error is one and the same."""
 
-CORRELATED = 3.0
-"""Words of a sensor are this many times less certain than each alone: about ten in a row share the slope's error."""
+LEAST_SIZE_STD = 0.03
+"""The size is never better known: the parallax beside a car was 3 % too high throughout."""
 
 LEAST_RATIO = 0.3
 """Of the range by a source that has the vehicle on the ground or below it."""
@@ -39,6 +39,11 @@ class Source(str, Enum):
     RANGEFINDER = "the rangefinder"
     TERRAIN = "the terrain map"
     PARALLAX = "the ground's motion in the image"
+
+
+CORRELATED = {Source.START: 1.0, Source.RANGEFINDER: 3.0, Source.TERRAIN: 3.0, Source.PARALLAX: 1.5}
+"""Words of a source are this many times less certain than each alone.  Ten in a row share the slope's error; those of
+the parallax have a correlation of 0.2 to 0.5 over a second.  The start counts once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,14 +65,24 @@ class GroundTrust:
 class GroundWord:
     """What a source says of the ground's height under the target, beside what the box says with the size's prior.
 
-    `height_m` is the camera's height over that ground by the source, with `std_m`; `by_size_m` the same by the box, and
-    `ratio_std` the standard deviation of ln height - ln by_size, the size's own apart.
+    `height_m` is the camera's height over that ground by the source, with `std_m`; `by_size_m` the same by the box,
+    with `own_std_m` for a known size.
     """
 
     height_m: float
     std_m: float
     by_size_m: float
-    ratio_std: float
+    own_std_m: float
+
+    @property
+    def lowest_m(self) -> float:
+        """The lower of both heights: what their difference is compared with."""
+        return max(min(self.height_m, self.by_size_m), CLEAR_M)
+
+    @property
+    def ratio_std(self) -> float:
+        """Standard deviation of ln height - ln by_size, the size's own apart."""
+        return math.hypot(self.own_std_m, self.std_m) / self.lowest_m
 
     @property
     def clear(self) -> bool:
@@ -81,26 +96,31 @@ class GroundWord:
         return abs(self.height_m - self.by_size_m) / math.hypot(self.std_m, max(self.by_size_m, CLEAR_M) * size_std)
 
 
-def ground_word(f: JointFilter, camera_ned: Array, aspect: float, ground_down_m: float, std_m: float) -> GroundWord:
+def ground_word(f: JointFilter, camera_ned: Array, middle: float, ground_down_m: float, std_m: float) -> GroundWord:
     """Compare a height of the ground under the target (NED down, metres) with the filter's."""
-    expected, row = height_row(f, camera_ned, aspect)
+    expected, row = height_row(f, camera_ned, middle)
     height = ground_down_m - float(camera_ned[2])
     own = math.sqrt(max(float(row @ f.covariance @ row), 0.0))
-    lowest = max(min(height, expected), CLEAR_M)
-    return GroundWord(height, std_m, expected, math.hypot(own, std_m) / lowest)
+    return GroundWord(height, std_m, expected, own)
 
 
-def grounded(f: JointFilter, camera_ned: Array, velocity: Array, word: GroundWord) -> JointFilter:
+def grounded(f: JointFilter, here: Array, velocity: Array, middle: float, word: GroundWord) -> JointFilter:
     """The filter after a word on the ground's height; the same unless the word is clear.
 
-    All lengths in the filter are in proportion to the size, the camera's height over the target's ground among them: so
-    ln height - ln by_size measures ln size, and range, height and relative velocity are scaled with it.
+    All lengths in the filter are in proportion to the size, the camera's height over the ground among them, so
+    ln height - ln by_size measures ln size.  It measures the rest of the state too, a grown box and a slope
+    among it: each gets its part of the difference by its variance (Kalman's gain).  The correlation of size and
+    rest that this leaves is negative; it is left out, which makes the covariance larger, never smaller.
     """
     if not word.clear:
         return f
-    gain = f.size_var / (f.size_var + word.ratio_std**2)
-    change = gain * math.log(word.height_m / word.by_size_m)
-    return replace(scaled(f, camera_ned, velocity, change), size_var=(1 - gain) * f.size_var)
+    _, row = height_row(f, here, middle)
+    off, variance = math.log(word.height_m / word.by_size_m), f.size_var + word.ratio_std**2
+    rest = f.covariance @ row / word.lowest_m
+    f = replace(f, mean=f.mean + rest / variance * off, covariance=f.covariance - np.outer(rest, rest) / variance)
+    gain = f.size_var / variance
+    least = min(LEAST_SIZE_STD**2, f.size_var)
+    return replace(scaled(f, here, velocity, gain * off), size_var=max((1 - gain) * f.size_var, least))
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,18 +144,18 @@ class GroundSources:
     def correct(
         self, f: JointFilter, pose: Pose, state: VehicleState, size: tuple[float, float, float], c: GroundTrust
     ) -> JointFilter:
-        """The filter after what the sources say now; `size` is the prior's metres, relative deviation, and the aspect.
+        """The filter after what the sources say now; `size` is the prior's metres, relative deviation, and `middle`.
 
         A source that contradicts the size's prior is not believed, and `contradiction` says so until it agrees.
         """
         here, velocity = pose.position_ned, np.array([pose.north_m_s, pose.east_m_s])
-        size_m, size_std, aspect = size
+        size_m, size_std, middle = size
         self.contradiction, self.near_ratio = "", 1.0
         words = ground_words(f, here, state, c)
         if self.parallax is not None and 0 <= state.t_s - self.parallax.t_s <= FRESH_S:
             words.insert(0, (Source.PARALLAX, self.parallax.down_m, self.parallax.std_m))
         for source, ground_down_m, std_m in words:
-            word = ground_word(f, here, aspect, ground_down_m, std_m)
+            word = ground_word(f, here, middle, ground_down_m, std_m)
             if max(word.by_size_m, word.height_m) < LOW_M:
                 continue
             if source is Source.START and word.ratio_std >= BETTER * self.believed.get(source, math.inf):
@@ -144,8 +164,7 @@ class GroundSources:
             if prior.sigmas(size_std) > c.contradiction_sigmas:
                 self.contradict(source, prior, size_m)
             else:
-                shared = 1.0 if source is Source.START else CORRELATED
-                f = grounded(f, here, velocity, replace(word, ratio_std=shared * word.ratio_std))
+                f = grounded(f, here, velocity, middle, replace(word, std_m=CORRELATED[source] * word.std_m))
                 self.believed[source] = word.ratio_std
         return f
 

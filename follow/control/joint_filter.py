@@ -30,6 +30,12 @@ from follow.ranges import require_numbers
 
 SIZE = 11
 N, E, D, VN, VE, MN, ME, L, BX, BY, BS = range(SIZE)
+STIRRED = 6.0
+"""Squared distance of a box from its prediction, of three degrees of freedom, that shows a manoeuvre: chance 11 %."""
+
+STIR_KEPT = math.exp(-1 / 90)
+"""A target becomes calm within about 90 boxes that came where they were predicted: 3 s of them."""
+
 CLEAR_M = 0.5
 """A line of sight is at least this long; nearer the directions mean nothing."""
 
@@ -40,10 +46,11 @@ class Motion:
 
     accel_psd: float = 0.4  # Spectral density of the target's acceleration, m²/s³: lower lags, higher is noisier.
     turn_psd: float = 0.05  # Added to accel_psd times the speed squared, 1/s: faster targets turn harder.
+    calm: float = 0.02  # Fraction of both that remains for a target whose boxes come where they are predicted.
     slope_std: float = 0.06  # Standard deviation of the ground's gradient: most paths have 0 to 10 %, 20 % is rare.
     slope_length_m: float = 200.0  # Distance over which a gradient is forgotten.
     vertical_psd: float = 1e-3  # Spectral density of other vertical motion, m²/s: gait, kerbs.
-    angle_bias_std_rad: float = 0.01  # Slowly varying error of a bearing: a small autopilot's attitude, the box.
+    angle_bias_std_rad: float = 0.007  # Slowly varying error of a bearing: a small autopilot's attitude, the box.
     size_bias_std: float = 0.07  # Slowly varying error of the box's height: RACF's boxes grow by 8 %.
     bias_s: float = 30.0  # Correlation time of the slowly varying errors.
 
@@ -56,12 +63,14 @@ class JointFilter:
     """State of the filter at `t_s`: mean (11,) and covariance (11, 11) in the order of the module's docstring.
 
     The covariance is that for a known size: its row and column L are zero, and `size_var` is the variance of l.
+    `stir` is 1 for a target that manoeuvres as hard as `Motion` expects, 0 for one that is calm.
     """
 
     t_s: float
     mean: Array
     covariance: Array
     size_var: float
+    stir: float = 1.0
 
     @property
     def size_m(self) -> float:
@@ -103,14 +112,14 @@ def predicted(f: JointFilter, t_s: float, m: Motion) -> JointFilter:
     mean[D] += dt * float(mean[MN : ME + 1] @ v)
     mean[MN : ME + 1] *= keep_slope
     mean[BX:] *= keep_bias
-    covariance = step @ f.covariance @ step.T + process_noise(v, way, dt, m)
+    covariance = step @ f.covariance @ step.T + process_noise(v, way, f.stir, dt, m)
     return replace(f, t_s=t_s, mean=mean, covariance=covariance)
 
 
-def process_noise(v: Array, way_m: float, dt: float, m: Motion) -> Array:
+def process_noise(v: Array, way_m: float, stir: float, dt: float, m: Motion) -> Array:
     """(11, 11) covariance added in `dt` to a target that goes `way_m` along v."""
     noise = np.zeros((SIZE, SIZE))
-    q = m.accel_psd + m.turn_psd * float(v @ v)
+    q = (m.calm + (1 - m.calm) * stir) * (m.accel_psd + m.turn_psd * float(v @ v))
     for place, speed in ((N, VN), (E, VE)):
         noise[place, place] = q * dt**3 / 3
         noise[place, speed] = noise[speed, place] = q * dt**2 / 2
@@ -185,22 +194,18 @@ def corrected(f: JointFilter, camera_ned: Array, sight: Sight, noise: Array) -> 
     away = toward / np.linalg.norm(toward) * length * math.exp(min(max(change[2], -1.0), 1.0))
     mean = f.mean + change
     mean[:3] = camera_ned + away
-    return replace(f, mean=mean, covariance=in_sight(p, *sight_axes(away), back=True))
+    stir = max(f.stir * STIR_KEPT, min(step.distance2 / STIRRED, 1.0))
+    return replace(f, mean=mean, covariance=in_sight(p, *sight_axes(away), back=True), stir=stir)
 
 
-def half_height(f: JointFilter, camera_ned: Array, aspect: float) -> float:
-    """Height of the box's middle over the ground: half its height, foreshortened by the depression."""
-    away = f.mean[:3] - camera_ned
-    level = math.hypot(away[0], away[1]) / max(float(np.linalg.norm(away)), CLEAR_M)
-    return f.size_m * math.sqrt(aspect) / 2 * level
+def height_row(f: JointFilter, camera_ned: Array, middle: float) -> tuple[float, Array]:
+    """The camera's height over the ground under the target, and its derivative (11,) by the state.
 
-
-def height_row(f: JointFilter, camera_ned: Array, aspect: float) -> tuple[float, Array]:
-    """The camera's height over the ground under the target, and its derivative (11,) by the state."""
-    half = half_height(f, camera_ned, aspect)
+    `middle` is how high the middle of the box lies over that ground, in sizes.
+    """
     row = np.zeros(SIZE)
-    row[D] = 1.0
-    return float(f.mean[D] - camera_ned[2]) + half, row
+    row[[D, L]] = 1.0, middle * f.size_m
+    return float(f.mean[D] - camera_ned[2]) + middle * f.size_m, row
 
 
 def scaled(f: JointFilter, camera_ned: Array, velocity: Array, change: float) -> JointFilter:

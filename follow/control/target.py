@@ -43,8 +43,9 @@ class TargetConfig:
 
     size_m: float = 1.2  # Size of the target, sqrt(width x height): a person of 0.8 x 1.8 m.
     size_relative_std: float = 0.3  # Uncertainty of size_m, as a fraction of it: a car (2.5 m) needs its own size_m.
-    bearing_std_rad: float = 0.015  # White error of a bearing: four pixels at 80 degrees in 640 columns.
-    box_relative_std: float = 0.1  # White error of the box's height, as a fraction: steps of 3 %, and gait.
+    middle_fraction: float = 0.5  # Height of the box's middle over the ground, as a fraction of the box's: a car 0.15.
+    bearing_std_rad: float = 0.007  # White error of a bearing: one to two pixels at 80 degrees in 640 columns.
+    box_relative_std: float = 0.06  # White error of the box's height, as a fraction: steps of 3 %, and gait.
     speed_std_m_s: float = 3.0  # Speed of the target expected at the start: that of a runner.
     motion: Motion = field(default_factory=Motion)
     ground: GroundTrust = field(default_factory=GroundTrust)
@@ -108,6 +109,11 @@ class Target:
     asked_t_s: float = NEVER
     sources: GroundSources = field(default_factory=GroundSources)
     waiting: deque[tuple[float, Track]] = field(default_factory=lambda: deque[tuple[float, Track]](maxlen=16))
+
+    @property
+    def middle(self) -> float:
+        """Height of the box's middle over the target's ground, in sizes."""
+        return self.config.middle_fraction * math.sqrt(self.aspect)
 
     def forget(self) -> None:
         """Forget the target; the next box starts a new one."""
@@ -222,7 +228,7 @@ class Target:
         pose = self.pose(state, t_s)
         c = self.config
         self.filter = self.sources.correct(
-            self.filter, pose, state, (c.size_m, c.size_relative_std, self.aspect), c.ground
+            self.filter, pose, state, (c.size_m, c.size_relative_std, self.middle), c.ground
         )
 
     def sharp(self, track: Track, *, lost: bool) -> bool:
@@ -301,7 +307,8 @@ class Target:
         """Return the filter at `t_s`; a target unseen for longer than `steady_s` slows down."""
         assert self.filter is not None
         c = self.config
-        f = predicted(self.filter, t_s, c.motion)
+        unknown = t_s - self.filter.t_s > c.lost_after_s  # nothing says that an unseen target stays calm
+        f = predicted(replace(self.filter, stir=1.0) if unknown else self.filter, t_s, c.motion)
         unseen = f.t_s - self.filter.t_s - c.steady_s
         if unseen <= 0:
             return f
@@ -317,11 +324,11 @@ class Target:
             return Estimate(state.t_s, 0.0, self.down_rad - state.pitch_rad, FAR_M, FAR_M)
         pose = self.motion.at(state.t_s)
         f = self.carried(state.t_s) if self.config.compensate else self.filter
-        return seen_from(f, pose, self.aspect, self.seen_t_s, self.seen_ned, self.config, self.sources)
+        return seen_from(f, pose, self.middle, self.seen_t_s, self.seen_ned, self.config, self.sources)
 
 
 def seen_from(
-    f: JointFilter, pose: Pose, aspect: float, seen_t_s: float, seen_ned: Array, c: TargetConfig, sources: GroundSources
+    f: JointFilter, pose: Pose, middle: float, seen_t_s: float, seen_ned: Array, c: TargetConfig, sources: GroundSources
 ) -> Estimate:
     """The filter's state as an Estimate for a vehicle at `pose`."""
     here = pose.position_ned
@@ -330,8 +337,7 @@ def seen_from(
     range_m = max(math.hypot(away[0], away[1]), 0.1)
     toward = away[:2] / range_m
     range_std = math.sqrt(max(float(toward @ p[:2, :2] @ toward), 0.0))
-    height, row = height_row(f, here, aspect)
-    row[7] = height - away[2]  # half the target's height
+    height, row = height_row(f, here, middle)
     seen_away = seen_ned[:2] - here[:2]
     return Estimate(
         pose.t_s,

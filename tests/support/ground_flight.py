@@ -45,13 +45,16 @@ def walk(speed_m_s: float, from_m: float = 12.0, after_s: float = 4.0) -> Path:
 
 @dataclass(frozen=True)
 class BoxErrors:
-    """Errors of a box: white and slowly varying (first-order Gauss-Markov) parts, radians and ln size."""
+    """Errors of a box: white and slowly varying (first-order Gauss-Markov) parts, radians and ln size.
 
-    white_rad: float = 0.002
-    slow_rad: float = 0.004
+    As RACF's were measured (docs/estimate.md): correlation 0.8 over 0.5 s and 0.6 over 2 s.
+    """
+
+    white_rad: float = 0.001
+    slow_rad: float = 0.005
     white_size: float = 0.01
-    slow_size: float = 0.04
-    slow_s: float = 2.0
+    slow_size: float = 0.05
+    slow_s: float = 4.0
 
 
 @dataclass

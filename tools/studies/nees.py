@@ -29,6 +29,7 @@ SLOPES = (0.0, 0.03, 0.05, 0.08, 0.10, 0.20, -0.03, -0.05, -0.08, -0.10, -0.20)
 SPEEDS_M_S = (1.4, 3.0)
 WAY_M = 115.0
 STATES = 5
+WAVER, WAVER_S = 0.1, 5.0  # of the speed of somebody on foot, and for how long
 FROM_S = 6.0  # the estimate is judged from here on
 SEEN_S = 0.5  # ... while the target was seen within this time
 Flight = tuple[str, float, float, int]
@@ -69,11 +70,44 @@ def drawn(seed: int) -> GroundFlight:
     return flown
 
 
+def over_hill(speed_m_s: float, slope: float, rules: str, seed: int) -> GroundFlight:
+    """A flight over a hill with all else drawn as the filter assumes it: size, height of the start's ground.
+
+    The target's speed and course waver by a tenth, as those of somebody on foot, and boxes err as RACF's.
+    """
+    random, c, end_s, dt = np.random.default_rng([seed, round(1e3 * slope) % 997, 6]), TargetConfig(), 4.0, 0.1
+    end_s += WAY_M / speed_m_s
+    kept, waver, place = math.exp(-dt / WAVER_S), random.normal(0, WAVER, 2), np.array([12.0, 0.0])
+    places = [place]
+    for step in range(round(end_s / dt) + 2):
+        waver = kept * waver + math.sqrt(1 - kept**2) * random.normal(0, WAVER, 2)
+        moves = speed_m_s * dt if step * dt >= 4.0 else 0.0
+        place = place + moves * np.array([1.0 + waver[0], waver[1]])
+        places.append(place)
+    way = np.array(places)
+    lower = random.normal(0, math.hypot(c.ground.start_std_m, c.ground.slope_std * 12.0))
+    size = c.size_m * math.exp(random.normal(0, c.size_relative_std))
+
+    def at(t_s: float) -> tuple[float, float]:
+        return tuple(float(np.interp(t_s, dt * np.arange(len(way)), way[:, k])) for k in (0, 1))  # pyright: ignore[reportReturnType]
+
+    return GroundFlight(
+        at,
+        lambda north, east: lower + hill(slope)(north, east),
+        Autopilot(rules),
+        end_s=end_s,
+        seed=seed,
+        size_m=(size / math.sqrt(3), size * math.sqrt(3)),
+    )
+
+
 def nees(flight: Flight) -> tuple[Flight, np.ndarray, dict[str, float]]:
     """Fly once: times and NEES (T, 2), and what else came of the flight."""
     rules, speed, slope, seed = flight
-    if speed:
-        flown = GroundFlight(walk(speed), hill(slope), Autopilot(rules), end_s=4.0 + WAY_M / speed, seed=seed)
+    if speed and seed:
+        flown = over_hill(speed, slope, rules, seed)
+    elif speed:
+        flown = GroundFlight(walk(speed), hill(slope), Autopilot(rules), end_s=4.0 + WAY_M / speed)
     else:
         flown = drawn(seed)
     rows: list[tuple[float, float]] = []
@@ -93,8 +127,7 @@ def error_squared(flown: GroundFlight) -> float:
     here, velocity = np.array([m.north_m, m.east_m, m.down_m]), np.array([m.north_m_s, m.east_m_s])
     north, east = flown.path(m.t_s)
     north1, east1 = flown.path(m.t_s - 0.01)
-    height, row = height_row(f, here, target.aspect)
-    row[7] = height - (f.mean[2] - here[2])
+    height, row = height_row(f, here, target.middle)
     pick = np.zeros((STATES, len(f.mean)))
     pick[range(4), [N, E, VN, VE]] = 1.0
     pick[4] = row
