@@ -21,6 +21,14 @@ def whole(name: str, value: object) -> int:
     return number
 
 
+def images_of(value: object, out: Path | None) -> int:
+    """The number of sequences to draw on; above 0 it needs `out`.  Raises UsageError."""
+    images = whole("images", value)
+    if images and out is None:
+        raise UsageError("images need out, the folder to draw into")
+    return images
+
+
 def texts(name: str, given: object) -> tuple[str, ...]:
     """One text or several.  Raises UsageError."""
     several = (given,) if isinstance(given, str) else given

@@ -12,7 +12,7 @@ from typing import Any
 
 from racf.errors import UsageError
 from racf.evaluate import plots, studies
-from racf.evaluate.arguments import address, directory, sweep_of, table_number, texts, whole
+from racf.evaluate.arguments import address, directory, images_of, sweep_of, table_number, texts, whole
 from racf.evaluate.benchmarks import BENCHMARKS, Sequence, is_known, read_benchmark
 from racf.evaluate.figures import TrackerFigures
 from racf.evaluate.imports import import_boxes
@@ -112,21 +112,23 @@ def evaluate(
     Paired differences are to the first tracker.  Raises ValueError for wrong arguments before anything runs.
     """
     root, folder = directory("root", root), None if out is None or out == "" else directory("out", out)
-    jitter, jobs, images = whole("jitter", jitter), whole("jobs", jobs), whole("images", images)
+    jitter, jobs, images = whole("jitter", jitter), whole("jobs", jobs), images_of(images, folder)
     settings, imports, only = texts("settings", settings), texts("imports", imports), texts("only", only)
     table, sweep, dask = table_number(table), sweep_of(sweep), address("dask", dask)
-    trackers = None if isinstance(trackers, Sized) and not trackers else trackers
-    _check(table, images, folder, given=trackers is not None or bool(imports))
-    usual = () if imports else ("racf",) if table is None else studies.trackers_of(table, sweep)
-    builders = _builders(usual if trackers is None else trackers, settings)
+    builders = _builders(_chosen(trackers, imports, table, sweep), settings)
     sequences = _sequences(root, benchmark, only, need_frames=images > 0)
     stored = import_boxes(imports, sequences, [b.label for b in builders], notify)
     runs = _run(builders, sequences, jitter, jobs=jobs, folder=folder, dask=dask, progress=progress)
     evaluation = _judge(root, sequences, runs, stored, table, sweep)
     if folder is not None:
-        written = [*evaluation.write(folder, images), *studies.draw(table, evaluation.report, sweep, folder)]
-        notify(f"report.json, tables.md and {len(written) - 2} figures are in {folder}")
+        notify(_written(evaluation, folder, images, table, sweep))
     return evaluation
+
+
+def _written(evaluation: Evaluation, folder: Path, images: int, table: int | None, sweep: studies.Sweep) -> str:
+    """Leave the files of an evaluation in its folder; what to say of them."""
+    figures = len(evaluation.write(folder, images)) - 2 + len(studies.draw(table, evaluation.report, sweep, folder))
+    return f"report.json, tables.md and {figures} figures are in {folder}"
 
 
 def select(root: Path, only: Iterable[str], sequences: list[Sequence]) -> list[Sequence]:
@@ -138,11 +140,14 @@ def select(root: Path, only: Iterable[str], sequences: list[Sequence]) -> list[S
     return chosen
 
 
-def _check(table: int | None, images: int, out: Path | None, *, given: bool) -> None:
-    if table in {3, 4} and given:
+def _chosen(trackers: Any, imports: Collection[str], table: int | None, sweep: studies.Sweep) -> Any:
+    """The trackers to run: those given, else the table's, else racf; none where boxes are imported."""
+    given = not (trackers is None or (isinstance(trackers, Sized) and not trackers))
+    if table in {3, 4} and (given or imports):
         raise UsageError(f"table {table} names its own trackers; leave out trackers and imports")
-    if images and out is None:
-        raise UsageError("images need out, the folder to draw into")
+    if given:
+        return trackers
+    return () if imports else ("racf",) if table is None else studies.trackers_of(table, sweep)
 
 
 def _builders(trackers: Any, settings: Collection[str]) -> list[TrackerBuilder]:

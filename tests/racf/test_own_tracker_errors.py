@@ -33,7 +33,7 @@ class Mine:
 
 @pytest.fixture
 def data(tmp_path, monkeypatch):
-    (tmp_path / "mine.py").write_text(SOURCE)
+    (tmp_path / "faulty.py").write_text(SOURCE)
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     return rendered.plain_folder(tmp_path / "data", ("one", "two"), frames=8, benchmark="Bench")
@@ -41,26 +41,28 @@ def data(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_an_evaluation_names_tracker_sequence_frame_and_line(data, jobs, capsys):
-    assert command("eval", data, "--tracker", "mine:Mine,at=3", "--only", "two", "--jobs", jobs) == 1
+    assert command("eval", data, "--tracker", "faulty:Mine,at=3", "--only", "two", "--jobs", jobs) == 1
     (line,) = [line for line in capsys.readouterr().err.splitlines() if "error" in line]
-    assert "Bench/two, 000306.png: tracker mine:Mine: update failed in frame 3 after the start" in line
-    assert line.endswith("RuntimeError: no match (mine.py, line 14)")
+    assert "Bench/two, 000306.png: tracker faulty:Mine: update failed in frame 3 after the start" in line
+    assert line.endswith("RuntimeError: no match (faulty.py, line 14)")
 
 
 def test_a_video_is_named_and_so_is_a_failed_start(data, tmp_path, capsys):
     write(tmp_path / "clip.mp4", 4)
     options = ["--init", "1,2,30,40", "--out", tmp_path / "boxes.txt"]
-    assert command("track", tmp_path / "clip.mp4", *options, "--tracker", "mine:Mine,at=0") == 1
+    assert command("track", tmp_path / "clip.mp4", *options, "--tracker", "faulty:Mine,at=0") == 1
     err = capsys.readouterr().err
     assert err.count("\n") == 1
-    assert "clip.mp4, frame 0: tracker mine:Mine: init failed in the first frame: KeyError: 'weights'" in err
+    assert "clip.mp4, frame 0: tracker faulty:Mine: init failed in the first frame: KeyError: 'weights'" in err
 
 
 def test_a_replay_ends_with_the_trackers_words(data, tmp_path, capfd):
     write(tmp_path / "clip.mp4", 6)
     words = ["replay", str(tmp_path / "clip.mp4"), "--target", "309,192,22,48", "--out", str(tmp_path / "out")]
-    assert follow([*words, "--tracker", "mine:Mine,at=3"]) == 1
-    assert re.search(r"follow: error: tracker mine:Mine: update failed in frame 3 .*: no match", capfd.readouterr().err)
+    assert follow([*words, "--tracker", "faulty:Mine,at=3"]) == 1
+    assert re.search(
+        r"follow: error: tracker faulty:Mine: update failed in frame 3 .*: no match", capfd.readouterr().err
+    )
 
 
 def test_the_librarys_error_keeps_the_trackers_own_as_its_cause(data):
