@@ -19,11 +19,12 @@ from follow.flight.vehicle_checks import check_sending, check_signing, check_veh
 from follow.link import LinkError
 from follow.link.connection import connect
 from follow.link.signing import Signing
-from follow.messages import Frame
+from follow.messages import Frame, Notify
 from follow.operator.terminal import Terminal
 from racf.box import Box
 from racf.commandline import UsageError
 
+CAMERA_S = 3.0  # as long as the gaps between frames are watched
 BOX_SHARE = 6  # the timed target is a sixth of the image's height, as a person some 10 m away is
 
 
@@ -42,7 +43,7 @@ def diagnose(command: DoctorCommand) -> None:
     if command.camera is not None:
         say(look(command.camera, command.tracker, command.out, terminal))
     if command.link is not None:
-        say(listen(command.link, command.system_id, command.signing_key))
+        say(listen(command.link, command.system_id, command.signing_key, terminal.report))
     say([doctor.check_disk(command.out), doctor.check_time(command.signing_key is not None, time.time())])
     if command.json:
         sys.stdout.write(json.dumps([asdict(finding) for finding in findings], indent=1) + "\n")
@@ -59,9 +60,10 @@ def look(source: str, tracker: str, out: Path, terminal: Terminal) -> list[Findi
     """The camera, and the tracker on its frames; the first of them is left in `out`, to read a target's box off."""
     kept: list[Frame] = []
     live = is_live(source)
+    terminal.report(f"reading frames of {source}, some {CAMERA_S:g} s")
     try:
         with LiveVideo(source, terminal.report) if live else open_replay(source, None, terminal.report) as camera:
-            findings = doctor.check_camera(camera, time.monotonic if live else None, kept)
+            findings = doctor.check_camera(camera, time.monotonic if live else None, kept, CAMERA_S)
     except CameraError as error:
         return [Finding("camera", Health.RED, str(error), "look at the source's name and cable")]
     if len(kept) > 1:
@@ -69,6 +71,7 @@ def look(source: str, tracker: str, out: Path, terminal: Terminal) -> list[Findi
         out.mkdir(parents=True, exist_ok=True)
         cv2.imwrite(str(out / "camera.png"), kept[0].image)
         terminal.report(f"{columns}x{rows} frames, the first is in {out / 'camera.png'}")
+        terminal.report(f"timing the tracker on {len(kept) - 1} frames")
         timed = acquire(tracker, Box.around(columns / 2, rows / 2, rows / BOX_SHARE, rows / BOX_SHARE))
         timed.update(kept[0].image)  # its first frame starts it
         fps = (len(kept) - 1) / (kept[-1].t_s - kept[0].t_s)
@@ -76,7 +79,7 @@ def look(source: str, tracker: str, out: Path, terminal: Terminal) -> list[Findi
     return findings
 
 
-def listen(uri: str, system_id: int | None, key: Path | None) -> list[Finding]:
+def listen(uri: str, system_id: int | None, key: Path | None, report: Notify) -> list[Finding]:
     """The vehicle behind the link."""
     try:
         signing = Signing(key) if key is not None else None
@@ -84,7 +87,7 @@ def listen(uri: str, system_id: int | None, key: Path | None) -> list[Finding]:
         return [Finding("signing", Health.RED, str(error), "chmod 600, and 32 bytes in it")]
     try:
         with connect(uri, system_id, signing=signing) as link:
-            findings = check_vehicle(link.client, link.listen, time.monotonic)
+            findings = check_vehicle(link.client, link.listen, time.monotonic, report)
             signed = check_signing(link.client, signing is not None, link.reach)
             return [*findings, signed, check_sending(link.unsent)]
     except LinkError as error:

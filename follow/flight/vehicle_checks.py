@@ -8,7 +8,7 @@ from follow.flight.finding import Finding, Health
 from follow.flight.parameters import QUESTIONS, SIMULATOR_PARAMETER, WHERE, Firmware, Parameter, answered, names
 from follow.link.client import MavlinkClient
 from follow.link.transports import Reach
-from follow.messages import NEVER, Autopilot, BatteryLevel
+from follow.messages import NEVER, Autopilot, BatteryLevel, Notify
 
 LISTEN_S = 4.0  # long enough to count the slowest stream, 1 Hz
 ASK_TIMES = 4  # a parameter's request or reply may be lost
@@ -24,20 +24,32 @@ BATTERY_PERCENT = 30
 OLDEST: dict[Autopilot, Firmware] = {Autopilot.PX4: (1, 14), Autopilot.ARDUPILOT: (4, 5)}  # what the tables know
 
 
-def check_vehicle(client: MavlinkClient, listen: Callable[[float], None], now: Callable[[], float]) -> list[Finding]:
-    """The link, the autopilot and its parameters.  `listen(seconds)` keeps the conversation going meanwhile."""
+def check_vehicle(
+    client: MavlinkClient,
+    listen: Callable[[float], None],
+    now: Callable[[], float],
+    report: Notify = lambda _line: None,
+) -> list[Finding]:
+    """The link, the autopilot and its parameters.
+
+    `listen(seconds)` keeps the conversation going meanwhile; `report` is told before each wait.
+    """
+    report(f"listening for a vehicle, {LISTEN_S:g} s")
     listen(LISTEN_S)  # to meet the vehicle and to request stream rates
     state = client.state(now())
     if state.heartbeat_t_s == NEVER or state.autopilot is None:
         return [_nobody(client)]
     before = dict(client.heard.counts)
+    report(f"{state.autopilot.value} found: measuring its message rates, {LISTEN_S:g} s")
     listen(LISTEN_S)
     findings = [_autopilot(client, state.autopilot, now()), *_rates(client, before), *_senders(client, now())]
     findings += [_clock(client), _battery(client, now()), _remote(client, now())]
-    return [*findings, *check_parameters(client, state.autopilot, listen)]
+    return [*findings, *check_parameters(client, state.autopilot, listen, report)]
 
 
-def check_parameters(client: MavlinkClient, autopilot: Autopilot, listen: Callable[[float], None]) -> list[Finding]:
+def check_parameters(
+    client: MavlinkClient, autopilot: Autopilot, listen: Callable[[float], None], report: Notify
+) -> list[Finding]:
     """Read and judge what decides the vehicle's fate when this program dies."""
     known = client.heard.parameters
     known.clear()
@@ -45,6 +57,7 @@ def check_parameters(client: MavlinkClient, autopilot: Autopilot, listen: Callab
         missing = [name for name in names(autopilot) if name not in known]
         if not missing:
             break
+        report(f"reading parameters: {len(missing)} of {len(names(autopilot))} to come")
         for name in missing:
             client.request_parameter(name)
         listen(REPLY_S)

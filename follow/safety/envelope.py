@@ -68,6 +68,18 @@ def limit_altitude(down: float, target: Worst, state: VehicleState, limits: Limi
     return min(max(down, -min(fastest_up, over_target)), fastest_down)
 
 
+HELD = {
+    "speed": "slower: limits.speed_m_s",
+    "unseen": "slower: limits.coast_m_s (the target is not seen)",
+    "view": "less sideways or back: limits.out_of_view_m_s (the camera does not look there)",
+    "last sighting": "slower: to stop before the last sighting (the target is not seen)",
+    "stand-off": "slower: limits.min_standoff_m (the target may be near)",
+    "fence": "slower: limits.fence_m (near the border)",
+    "altitude": "less climb or descent: limits.floor_m or limits.ceiling_m or limits.above_target_m",
+}
+"""What a note says of each limit that changes the desired velocity: its setting, and why it acts; without a comma."""
+
+
 @dataclass(frozen=True, slots=True)
 class Surroundings:
     """What limits the vehicle besides its own speed: the target at its nearest, the fence, and the last sighting.
@@ -83,11 +95,16 @@ class Surroundings:
 def limit_velocity(
     desired: Setpoint, speed_m_s: float, around: Surroundings, state: VehicleState, limits: Limits
 ) -> tuple[tuple[float, float, float], tuple[str, ...]]:
-    """Apply every limit on position: returns the NED velocity and the names of the limits that acted."""
+    """Apply every limit on position: returns the NED velocity and a note for each limit that acted."""
     over = max(math.hypot(desired.forward_m_s, desired.right_m_s) / speed_m_s, 1.0)
     slow = desired.forward_m_s / over, desired.right_m_s / over
     steps = [("desired", heading_to_ned(desired.forward_m_s, desired.right_m_s, state.yaw_rad))]
-    steps.append(("speed", heading_to_ned(*slow, state.yaw_rad) if over > 1.0 else steps[0][1]))
+    steps.append(
+        (
+            "speed" if speed_m_s >= limits.speed_m_s else "unseen",
+            heading_to_ned(*slow, state.yaw_rad) if over > 1.0 else steps[0][1],
+        )
+    )
     viewed = in_view(*slow, limits)
     steps.append(("view", heading_to_ned(*viewed, state.yaw_rad) if viewed != slow else steps[-1][1]))
     if around.last_seen is not None:
@@ -98,4 +115,4 @@ def limit_velocity(
     banded = limit_altitude(limit_descent(desired.down_m_s, around.target, state, limits), around.target, state, limits)
     acted = [name for (_, before), (name, after) in pairwise(steps) if before != after]
     acted += ["altitude"] * (banded != desired.down_m_s)
-    return (*steps[-1][1], banded), tuple(f"held by the {name} limit" for name in acted)
+    return (*steps[-1][1], banded), tuple(HELD[name] for name in acted)

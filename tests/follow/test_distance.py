@@ -18,6 +18,7 @@ from follow.safety.distance import (
     stopping_speed,
     worst,
 )
+from follow.safety.envelope import HELD
 from follow.safety.gate import Safety
 from follow.safety.ramps import VelocityRamp
 from tests.support.gate_rig import DT, LIMITS, engaged, fly, flying, obeyed, seen
@@ -92,14 +93,14 @@ def test_a_target_that_comes_nearer_makes_the_gate_retreat_and_climb_against_the
     assert decision.setpoint.forward_m_s < -0.5
     if toward >= 3.0:  # a walker is outrun along the ground
         assert decision.setpoint.down_m_s < 0.0
-    assert "held by the stand-off limit" in decision.notes
+    assert HELD["stand-off"] in decision.notes
 
 
 def test_a_climb_ends_at_its_height_above_the_target():
     safety, t_s = engaged()
     high = fly(safety, t_s, 3.0, Setpoint(down_m_s=-2.0), down_m=-27.5)[-1]
     assert high.setpoint.down_m_s == pytest.approx(0.0, abs=1e-3)
-    assert "held by the altitude limit" in high.notes
+    assert HELD["altitude"] in high.notes
 
 
 def test_a_vehicle_that_does_not_fly_what_is_sent_is_left_to_its_autopilot():

@@ -1,6 +1,7 @@
 """The doctor against both rule sets: red with the exact lines at default parameters, green after the named commands."""
 
 import json
+import re
 import struct
 
 import numpy as np
@@ -60,6 +61,14 @@ def foreign_packet() -> bytes:
 
 def examined(pair: Pair) -> list[Finding]:
     return check_vehicle(pair.client, pair.run, lambda: pair.t_s)
+
+
+def test_each_wait_is_announced():
+    pair, said = Pair(Autopilot.PX4), list[str]()
+    check_vehicle(pair.client, pair.run, lambda: pair.t_s, said.append)
+    assert said[0] == "listening for a vehicle, 4 s"
+    assert said[1] == "px4 found: measuring its message rates, 4 s"
+    assert re.fullmatch(r"reading parameters: (\d+) of \1 to come", said[2])
 
 
 def red(findings: list[Finding]) -> dict[str, str]:

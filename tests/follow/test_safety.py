@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from follow.messages import HOVER, NEVER, Estimate, Landed, Mode, Order, Setpoint
 from follow.safety.distance import approach_speed
-from follow.safety.envelope import in_view, limit_to_fence
+from follow.safety.envelope import HELD, in_view, limit_to_fence
 from follow.safety.gate import Gate, Limits, Safety, decide
 from follow.safety.ramps import VelocityRamp, YawRateRamp
 from tests.support.gate_rig import DT, LIMITS, engaged, fly, flying, seen
@@ -258,7 +258,7 @@ def test_above_a_near_target_it_does_not_descend_but_leaves():
         decision = safety.allow(Setpoint(down_m_s=1.0), near, flying(now, down_m=-5.9), now)
     assert decision.setpoint.forward_m_s < 0.0
     assert decision.setpoint.down_m_s < 0.0
-    assert "held by the altitude limit" in decision.notes
+    assert HELD["altitude"] in decision.notes
 
 
 @pytest.mark.parametrize(
@@ -331,3 +331,15 @@ def test_a_vehicle_that_answers_late_stops_before_the_border(speed):
         room -= v * DT
         assert room > -0.2
     assert room < 0.5
+
+
+def test_a_note_says_which_speed_limit_acts():
+    safety, t_s = engaged()
+    wanted = Setpoint(LIMITS.speed_m_s + 1)
+    assert HELD["speed"] in safety.allow(wanted, seen(t_s + DT), flying(t_s + DT), t_s + DT).notes
+    for i in range(2, 12):
+        now = t_s + i * DT
+        decision = safety.allow(wanted, seen(t_s), flying(now), now)
+    assert decision.mode is Mode.COAST
+    assert HELD["unseen"] in decision.notes
+    assert HELD["speed"] not in decision.notes
