@@ -5,6 +5,7 @@
 docs/after_a_flight.md describes every column.
 """
 
+import csv
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,7 +17,9 @@ from numpy.typing import NDArray
 
 def columns(folder: Path) -> NDArray[np.void]:
     """The ticks as a structured array: `ticks["t_s"]` is a column; what is empty in the file is NaN or ''."""
-    return np.genfromtxt(folder / "ticks.csv", delimiter=",", names=True, dtype=None, encoding="utf-8", comments=None)
+    with (folder / "ticks.csv").open(newline="") as file:
+        lines = ["\t".join(cells) for cells in csv.reader(file)]  # a reason with a comma in it is quoted
+    return np.genfromtxt(lines, delimiter="\t", names=True, dtype=None, encoding="utf-8", comments=None)
 
 
 def images(folder: Path) -> Iterator[tuple[float, NDArray[np.uint8]]]:

@@ -47,6 +47,10 @@ def test_a_recording_is_read_back(tmp_path, capsys):
     ticks = module.columns(tmp_path / "out")
     assert list(ticks["tick"]) == list(range(12))
     assert np.all(np.diff(ticks["t_s"]) > 0)
+    rows = (tmp_path / "out/ticks.csv").read_text().splitlines()
+    quoted = [rows[0], *(row.rpartition(",")[0] + ',"one, and another"' for row in rows[1:])]
+    (tmp_path / "ticks.csv").write_text("\n".join(quoted))
+    assert set(module.columns(tmp_path)["notes"]) == {"one, and another"}
     pytest.importorskip("rerun.chunk", reason="Rerun for Python 3.10 has no reader of recordings")
     seen = list(module.images(tmp_path / "out"))
     assert [t_s for t_s, _ in seen] == pytest.approx(list(ticks["t_s"]), abs=1e-6)

@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 FILES = ("flight.rrd", "flight.tlog", "flight.png", "ticks.csv", "settings.toml", "summary.json")
 """What a flight leaves in its folder."""
 
+REPLACED = ("flight.rrd", "flight.png")
+"""What a new recording deletes: an old one would be taken for this flight's if this one breaks off."""
+
 FLUSH_EVERY = 15
 """Ticks between two writes of the recording: a kill loses half a second at 30 frames/s."""
 
@@ -91,7 +94,8 @@ class Recorder:
         self._t_s = 0.0
         self._rows = _File(out / "ticks.csv", report)
         self._flight = out / "flight.rrd"
-        self._flight.unlink(missing_ok=True)
+        for name in REPLACED:
+            (out / name).unlink(missing_ok=True)
         self._rows.write(header().encode())
         self._change = threading.Condition()
         self._texts: deque[str] = deque()

@@ -95,7 +95,7 @@ def _text(value: float | bool) -> str:
     """Nine digits: times to a microsecond, and nothing of a last bit that another processor rounds otherwise."""
     if isinstance(value, bool):
         return str(int(value))
-    return "" if math.isinf(value) else f"{value:.9g}"  # minus infinity: it never happened; infinity: not known
+    return f"{value:.9g}" if math.isfinite(value) else ""  # NaN: no value; infinity: it never happened, or not known
 
 
 def _word(text: str) -> str:

@@ -57,7 +57,7 @@ class Tracked:
             rows.writerow(COLUMNS)
             for frame, (t, ms) in enumerate(zip(self.tracks, self.ms, strict=True)):
                 place = (f"{v:.3f}" for v in (t.box.x, t.box.y, t.box.w, t.box.h))
-                sharp = (f"{t.psr:.3f}", f"{t.apce:.3f}", f"{ms:.3f}")
+                sharp = (*("" if np.isnan(v) else f"{v:.3f}" for v in (t.psr, t.apce)), f"{ms:.3f}")
                 rows.writerow([frame, *place, f"{t.confidence:.4f}", int(t.found), int(t.refined), *sharp])
         return beside
 

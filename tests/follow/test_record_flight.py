@@ -136,6 +136,15 @@ def test_what_never_happened_is_empty():
     assert str(NEVER) not in row(0, tick(0))
 
 
+def test_what_is_not_a_number_is_empty():
+    beside = tick(0)
+    assert beside.track is not None
+    nothing = replace(beside.track, psr=float("nan"), apce=float("nan"))
+    cells = dict(zip(COLUMNS, row(0, replace(beside, track=nothing)).strip().split(","), strict=True))
+    assert (cells["track_psr"], cells["track_apce"]) == ("", "")
+    assert cells["track_confidence"] == "0.9"
+
+
 def test_rerun_verifies_the_recording(tmp_path):
     with Recorder(tmp_path, RecordConfig(), silent, waits=True, about="# A flight") as recorder:
         for n in range(20):
@@ -240,8 +249,18 @@ def test_an_earlier_flight_is_set_aside_and_never_written_over(tmp_path):
     assert set_aside(tmp_path) is None
     for n in (1, 2):
         (tmp_path / "ticks.csv").write_text(f"flight {n}")
+        (tmp_path / "flight.png").write_text(f"plot {n}")
         (tmp_path / "camera.png").write_text("no flight's")
         assert set_aside(tmp_path) == tmp_path / f"earlier-{n}"
     assert [(tmp_path / f"earlier-{n}/ticks.csv").read_text() for n in (1, 2)] == ["flight 1", "flight 2"]
+    assert (tmp_path / "earlier-2/flight.png").read_text() == "plot 2"
     assert not (tmp_path / "ticks.csv").exists()
     assert (tmp_path / "camera.png").exists()
+
+
+def test_a_flight_that_breaks_off_leaves_no_plot_of_the_one_before(tmp_path):
+    for name in ("flight.png", "flight.rrd"):
+        (tmp_path / name).write_text("the flight before")
+    recorder = Recorder(tmp_path, RecordConfig(pictures=False), silent, waits=True)
+    assert not [path for path in tmp_path.iterdir() if path.name != "ticks.csv"]
+    recorder.close()
