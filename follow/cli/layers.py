@@ -59,11 +59,27 @@ def settings_of(words: Sequence[str], scenario: str) -> Config:
     return command.config
 
 
-def below(words: Sequence[str], scenario: str | None = None) -> Config:
-    """The settings of all layers below the command line.  Raises UsageError."""
+def without_scene(words: Sequence[str]) -> Any:
+    """The settings that the words spell if their scenario suggests none, not judged.  Raises UsageError."""
+    known = _commands(below(words, suggests=False))
+    return cast(Any, parse(known, words, prog=PROG, description=ABOUT, config=MARKERS)).config
+
+
+def from_scene(scenario: str, flown: Config, bare: Any) -> frozenset[str]:
+    """The dotted names of the settings that a scenario gave: they would be others without it (`bare`)."""
+    return frozenset(
+        f"{branch}.{name}"
+        for branch, table in _suggested(scenario).items()
+        for name in cast("Table", table)
+        if getattr(getattr(flown, branch), name) != getattr(getattr(bare, branch), name)
+    )
+
+
+def below(words: Sequence[str], scenario: str | None = None, *, suggests: bool = True) -> Config:
+    """The settings of all layers below the command line, the scenario's only if it `suggests`.  Raises UsageError."""
     first = _glance([word for word in words if word not in HELP])  # the help shows the defaults of the layers
     layers: list[tuple[str, Table]] = []
-    if name := scenario or _scenario(first):
+    if suggests and (name := scenario or _scenario(first)):
         layers.append((f"scenario {name}", _suggested(name)))
     kind: TargetKind | None = getattr(first, "for_", None)
     if kind is not None:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 from follow.camera import CameraError
 from follow.cli.commands import DoctorCommand, ReplayCommand, RunCommand, SimCommand
-from follow.cli.layers import read, settings_of
+from follow.cli.layers import read, settings_of, without_scene
 from follow.flight.finding import NotFitError
 from follow.link import LinkError
 from racf.commandline import guarded
@@ -24,11 +24,11 @@ def execute(words: Sequence[str]) -> None:
     elif isinstance(command, SimCommand):
         from follow.cli.sim import sim
 
-        sim(command, lambda scenario: settings_of(words, scenario))
+        sim(command, lambda scenario: settings_of(words, scenario), without_scene(words))
     elif isinstance(command, RunCommand):
         from follow.cli.run import fly_live
 
-        fly_live(command)
+        fly_live(command, without_scene(words))
     elif isinstance(command, DoctorCommand):
         from follow.cli.doctor import diagnose
 

@@ -8,14 +8,15 @@ import time
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from follow.camera import Camera
 from follow.camera.calibration import described
 from follow.camera.realtime import RealTime
 from follow.camera.video import LiveVideo, is_live, open_replay
 from follow.cli.commands import RunCommand, box_of, lens_of
-from follow.cli.layers import SCENE
-from follow.cli.settings import as_toml
+from follow.cli.layers import SCENE, from_scene
+from follow.cli.settings import as_toml, scene_values
 from follow.cli.sim import Referee, believed_camera, scene_camera
 from follow.config import CameraConfig, Config, resolve
 from follow.control.acquire import Acquire
@@ -112,18 +113,20 @@ def inspect(command: RunCommand, link: MavlinkLink) -> list[Finding]:
     return preflight(link, command.out, signs=signs, live_camera=camera, simulated=command.simulated)
 
 
-def fly_live(command: RunCommand) -> None:
-    """`follow run`."""
+def fly_live(command: RunCommand, bare: Any) -> None:
+    """`follow run`; `bare` are its settings without those that a drawn scene suggests."""
     check(command)
     terminal = Terminal(waits=False)
+    name = command.camera.removeprefix(SCENE)
+    scene = from_scene(name, command.config, bare) if name != command.camera else frozenset[str]()
     try:
-        fly_reported(command, terminal)
+        fly_reported(command, terminal, scene)
     finally:
         terminal.flush()
 
 
-def fly_reported(command: RunCommand, terminal: Terminal) -> None:
-    """From the first message to the last."""
+def fly_reported(command: RunCommand, terminal: Terminal, scene: frozenset[str]) -> None:
+    """From the first message to the last; `scene` names the settings that a drawn scene gave."""
     early: list[str] = []  # lines reported before the recording exists
     terminal.listeners.append(early.append)
     # Until there is a flight to order, the signal must not do what it does by default: kill.
@@ -132,6 +135,8 @@ def fly_reported(command: RunCommand, terminal: Terminal) -> None:
     log = logging.getLogger("follow")
     log.addHandler(forwarder)
     log.setLevel(logging.INFO)
+    if line := unused_line(command):
+        terminal.report(line)
     terminal.report(f"tracker warm after {warm_up():.1f} s")
     with contextlib.ExitStack() as recording:  # outlives the link, which says how it left the vehicle
         keys = recording.enter_context(Keys())  # from now on keys are read, not echoed
@@ -141,13 +146,24 @@ def fly_reported(command: RunCommand, terminal: Terminal) -> None:
             flight = prepare(command, link, refusing_early(keys, terminal.report))
             keys.refuse_early(terminal.report)
             recorder = recording.enter_context(begin_recording(command, starting, terminal, early))
-            recorder.settings(as_toml(command.config, flight.seen.config))
+            recorder.settings(as_toml(command.config, flight.seen.config, scene))
             fly_prepared(command, flight, link, recorder, terminal.report)
             autopilot = link.state().autopilot
         figures: Figures = {"tracker": command.tracker, "autopilot": autopilot.value if autopilot else ""}
         figures = recorder.close({**figures, **flight.seen.score()})
     log.removeHandler(forwarder)
     conclude(figures, command.out, terminal, as_json=command.json, finished=True)
+
+
+def unused_line(command: RunCommand) -> str:
+    """Which settings of the file are not used, because a drawn scene gave them; "" if there are none."""
+    if command.settings is None or command.camera.startswith(SCENE):
+        return ""
+    values = [f"{name} {value:g}" for name, value in scene_values(command.settings).items() if isinstance(value, float)]
+    if not values:
+        return ""
+    given = f"settings {str(command.settings)!r}: not used, because a drawn scene gave them: {', '.join(values)}"
+    return f"{given}; give those of your camera (--camera.fov-deg) and target (--for)"
 
 
 def refusing_early(keys: Keys, report: Notify) -> Notify:

@@ -7,7 +7,7 @@ one line that names the file, the setting, the rule and the value.
 import json
 import reprlib
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import fields, is_dataclass, replace
 from enum import Enum
 from pathlib import Path
@@ -30,7 +30,7 @@ Table = Mapping[str, object]
 """Settings as a TOML file holds them: a table for each branch."""
 
 DERIVED = "derived"
-"""The table of a recorded file with what the flight's camera gave; it is not read: another camera gives others."""
+"""The table of a recorded file with what the flight's camera or scene gave; it is not read: others give others."""
 
 
 def layered(*layers: tuple[str, Table]) -> Config:
@@ -122,33 +122,51 @@ def _value(default: object, value: object, source: str, name: str) -> object:
     return value
 
 
-def as_toml(config: Config, resolved: Config | None = None) -> str:
+def as_toml(config: Config, resolved: Config | None = None, scene: Collection[str] = ()) -> str:
     """The settings as a file that `read_settings` reads; a derived setting that nobody gave is left out.
 
     `resolved` are the same settings with each derived one filled in: those that nobody gave follow in tables
-    `[derived.BRANCH]`, which tell what a flight was flown with, and which `read_settings` passes over.
+    `[derived.BRANCH]`, which tell what a flight was flown with, and which `read_settings` passes over.  So do those
+    that `scene` names (`camera.fov_deg`): a drawn scene gave them, and a real camera or target has others.
     """
-    lines = [*_lines(config, "")]
+    lines = [*_lines(config, "", scene)]
     if resolved is not None:
-        lines += _lines(config, DERIVED, resolved)
+        lines += _lines(config, "", scene, resolved)
     return "\n".join(lines)[1:] + "\n"
 
 
-def _lines(branch: "DataclassInstance", name: str, resolved: "DataclassInstance | None" = None) -> Iterator[str]:
-    """A branch as tables; with `resolved` only what it has in place of None."""
+def scene_values(path: Path) -> dict[str, object]:
+    """What a drawn scene gave the flight that left this file, by dotted name; it is not read.  Raises UsageError."""
+    derived, default = _table(path).get(DERIVED), Config()
+    tables = cast("Mapping[str, object]", derived) if isinstance(derived, dict) else {}
+    return {
+        f"{branch}.{name}": value
+        for branch, table in tables.items()
+        if isinstance(table, dict)
+        for name, value in cast("Mapping[str, object]", table).items()
+        if getattr(getattr(default, branch, None), name, None) is not None  # else it follows from every camera
+    }
+
+
+def _lines(
+    branch: "DataclassInstance", name: str, scene: Collection[str], resolved: "DataclassInstance | None" = None
+) -> Iterator[str]:
+    """A branch as tables, without what `scene` gave and what is None; with `resolved` only these, as they are there."""
     values = {f.name: getattr(branch, f.name) for f in fields(branch)}
     inner = {key: value for key, value in values.items() if is_dataclass(value) and not isinstance(value, type)}
     leaves = {key: value for key, value in values.items() if key not in inner}
+    left_out = {key for key, value in leaves.items() if value is None or f"{name}.{key}" in scene}
     if resolved is None:
-        written = {key: value for key, value in leaves.items() if value is not None}
+        written = {key: value for key, value in leaves.items() if key not in left_out}
     else:
-        written = {key: getattr(resolved, key) for key, value in leaves.items() if value is None}
+        written = {key: getattr(resolved, key) for key in leaves if key in left_out}
     if written:
-        yield f"\n[{name}]"
+        yield f"\n[{name if resolved is None else f'{DERIVED}.{name}'}]"
     for key, value in written.items():
         yield f"{key} = {literal(value)}"
     for key, value in inner.items():
-        yield from _lines(value, f"{name}.{key}" if name else key, resolved and getattr(resolved, key))
+        inner_name = f"{name}.{key}" if name else key
+        yield from _lines(value, inner_name, scene, resolved and getattr(resolved, key))
 
 
 def literal(value: object) -> str:

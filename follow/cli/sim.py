@@ -5,9 +5,10 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 from follow.cli.commands import SimCommand, lens_of
+from follow.cli.layers import from_scene
 from follow.cli.settings import as_toml
 from follow.config import CameraConfig, Config, resolve
 from follow.control.image_motion import ImageMotionMeter
@@ -43,6 +44,7 @@ class FlightSpec:
     config: Config
     out: Path
     drawn: CameraConfig | None = None  # what is drawn where it is not what is believed: for tests of a wrong mount
+    scene: frozenset[str] = frozenset()  # names of the settings that nobody chose: the scenario's own
 
     @property
     def name(self) -> str:
@@ -92,7 +94,7 @@ def simulate(flight: FlightSpec, terminal: Terminal, *, bar: bool) -> tuple[Figu
     tracker = acquire(flight.tracker, camera.first()[1])  # what may refuse a flight comes before its recording
     keep_live_flight(flight.out, terminal)
     with camera, Recorder(flight.out, config.record, terminal.report, waits=True, about=about) as recorder:
-        recorder.settings(as_toml(flight.config, config))
+        recorder.settings(as_toml(flight.config, config, flight.scene))
 
         def true_box(tick: Tick) -> Box | None:
             box = referee.box(tick)
@@ -141,24 +143,25 @@ def rounded(scored: FlightScore) -> Figures:
     return cast(Figures, rounded)
 
 
-def sim(command: SimCommand, settings_of: Callable[[str], Config]) -> None:
-    """`follow sim`; `settings_of` gives the settings to fly a scenario with."""
+def sim(command: SimCommand, settings_of: Callable[[str], Config], bare: Any) -> None:
+    """`follow sim`; `settings_of` gives the settings to fly a scenario with, `bare` are they without any scenario."""
     terminal = Terminal()
     if command.list:
         sys.stdout.write("".join(f"{name:<20} {s.about}\n" for name, s in SCENARIOS.items()))
     elif command.scenario not in SCENARIOS:
         raise UsageError(f"scenario {command.scenario!r} is not known; known are {', '.join(SCENARIOS)}")
     elif command.all:
-        sim_all(command, {name: settings_of(name) for name in SCENARIOS}, terminal)
+        sim_all(command, {name: settings_of(name) for name in SCENARIOS}, bare, terminal)
     else:
         autopilot = command.autopilot or Autopilot.PX4
         out = command.out or OUT / command.scenario
         flight = FlightSpec(command.scenario, command.seed, autopilot, command.tracker, command.config, out)
+        flight = replace(flight, scene=from_scene(command.scenario, command.config, bare))
         figures, finished = simulate(flight, terminal, bar=True)
         conclude(figures, flight.out, terminal, as_json=command.json, finished=finished)
 
 
-def sim_all(command: SimCommand, configs: Mapping[str, Config], terminal: Terminal) -> None:
+def sim_all(command: SimCommand, configs: Mapping[str, Config], bare: Any, terminal: Terminal) -> None:
     """Every scenario with several seeds and both vehicles; without the images, which would fill the disk."""
     scenarios = tuple(configs)
     configs = {name: replace(config, record=replace(config.record, pictures=False)) for name, config in configs.items()}
@@ -170,7 +173,8 @@ def sim_all(command: SimCommand, configs: Mapping[str, Config], terminal: Termin
         for seed in range(command.seed, command.seed + command.seeds)
     ]
     out = command.out or OUT
-    flights = [replace(flight, out=out / flight.name) for flight in flights]
+    scenes = {name: from_scene(name, config, bare) for name, config in configs.items()}
+    flights = [replace(flight, out=out / flight.name, scene=scenes[flight.scenario]) for flight in flights]
     flown = terminal.progress(each(simulate_quietly, flights, dask=command.dask), len(flights), "sim --all", "flights")
     done = sorted(flown, key=lambda f: (scenarios.index(f[0].scenario), f[0].autopilot.value, f[0].seed))
     summaries = [figures for _, figures in done]

@@ -229,7 +229,7 @@ def test_the_settings_flown_with_are_recorded_and_fly_the_same_again(capfd, brie
     assert follow(capfd, *words, chosen, "--out", tmp_path / "a")[0] == 0
     flown = read_settings(tmp_path / "a/settings.toml")
     assert (flown.servo.standoff_m, flown.limits.speed_m_s) == (20.0, 3.0)
-    assert flown.target.size_m == SCENARIOS[brief].size_m
+    assert flown.target.size_m == Config().target.size_m != SCENARIOS[brief].size_m  # the scene's, which nobody chose
     words = ("sim", brief, "--settings", tmp_path / "a/settings.toml", "--out", tmp_path / "b")
     assert follow(capfd, *words)[0] == 0
     for name in ("settings.toml", "ticks.csv"):
@@ -243,7 +243,7 @@ def test_a_recorded_file_flown_with_another_lens_and_delay_pins_nothing_that_fol
     words = ("sim", brief, "--record.no-pictures", "--out")
     assert follow(capfd, *words, first.parent)[0] == 0
     told = tomllib.loads(first.read_text())["derived"]
-    assert set(told) == {"camera", "limits"}
+    assert set(told) == {"camera", "target", "servo", "limits"}
     assert told["limits"]["half_view_rad"] == pytest.approx(SCENARIOS[brief].fov_rad / 2)
     camera = ("--camera.fov-deg", "120", "--camera.delay-s", "0.2", "--autopilot", "ardupilot")
     assert follow(capfd, *words, other.parent, "--settings", first, *camera)[0] == 0
