@@ -2,13 +2,11 @@
 
 import sys
 
-import cv2
-
 import racf
 
 racf.one_core()
-video, tracker = cv2.VideoCapture(sys.argv[1]), racf.Racf("racf,robust")
-tracker.init(video.read()[1], racf.Box.parse(sys.argv[2]))  # x,y,w,h in the first image
-while (image := video.read()[1]) is not None:
-    track = tracker.update(image)
-    print(track.box, f"{track.confidence:.2f}", "found" if track.found else "lost")
+images, tracker = racf.Video(sys.argv[1]).images(), racf.Racf("racf,robust")
+tracker.init(next(images).image, racf.Box.parse(sys.argv[2]))  # x,y,w,h in the first image
+for shown in images:
+    track = tracker.update(shown.image)
+    print(f"{shown.t_s:.3f}", track.box, f"{track.confidence:.2f}", "found" if track.found else "lost")

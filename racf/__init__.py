@@ -24,8 +24,9 @@ if TYPE_CHECKING:
     from racf.track import Track as Track
     from racf.tracker import Racf as Racf
     from racf.tracker import warm_up as warm_up
+    from racf.video import Video as Video
 
-__all__ = ["Box", "Params", "Racf", "Refined", "Refiner", "Track", "evaluate", "one_core", "preset", "warm_up"]
+__all__ = ["Box", "Params", "Racf", "Refined", "Refiner", "Track", "Video", "evaluate", "one_core", "preset", "warm_up"]
 
 _HOME = {
     "Box": "racf.box",
@@ -34,6 +35,7 @@ _HOME = {
     "Refined": "racf.refine",
     "Refiner": "racf.refine",
     "Track": "racf.track",
+    "Video": "racf.video",
     "one_core": "racf.threads",
     "preset": "racf.params",
     "warm_up": "racf.tracker",

@@ -7,3 +7,7 @@ class UsageError(ValueError):
 
 class TrackerError(ValueError):
     """A tracker failed; the message names it, the frame, and what it said."""
+
+
+class VideoError(ValueError):
+    """A video cannot be read or written; the message is one sentence for a person."""

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from racf.box import Box
+from racf.video_writer import VideoWriter
 
 FPS = 30.0
 WALKER = (22, 48)  # pixels wide and high: what a person of 1.8 m fills from 15 m with a 70 degree lens at 640x360
@@ -45,18 +46,13 @@ def clip(frames: int, size: tuple[int, int] = (640, 360), seed: int = 1) -> Iter
 
 
 def write(path: Path, frames: int = 300, seed: int = 1) -> Path:
-    """Write the clip as a video and its true boxes beside it; returns the boxes' file.  Raises OSError."""
+    """Write the clip as a video and its true boxes beside it; returns the boxes' file.  Raises VideoError."""
     boxes = path.with_suffix(".txt")
     rows: list[str] = []
-    path.parent.mkdir(parents=True, exist_ok=True)
-    size = (640, 360)
-    video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), FPS, size)
-    if not video.isOpened():
-        raise OSError(f"{path} cannot be written as an MPEG-4 video")
-    for image, box in clip(frames, size, seed):
-        video.write(image)
-        rows.append(f"{box.x + 1:.3f},{box.y + 1:.3f},{box.w:.3f},{box.h:.3f}\n")
-    video.release()
+    with VideoWriter(path, FPS) as video:
+        for image, box in clip(frames, seed=seed):
+            video.put(image)
+            rows.append(f"{box.x + 1:.3f},{box.y + 1:.3f},{box.w:.3f},{box.h:.3f}\n")
     boxes.write_text("".join(rows))
     return boxes
 

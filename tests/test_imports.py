@@ -32,6 +32,7 @@ SIM_MAY_IMPORT = {
     "follow.link",
     "follow.camera",
     "racf.box",
+    "racf.video_writer",
 }
 WIRING = "follow/cli/"  # the only room that builds both seams
 

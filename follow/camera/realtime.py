@@ -30,8 +30,8 @@ class RealTime:
     def frames(self) -> Iterator[Frame | None]:
         """Yield each frame when it is due, or None for a round without one; a slow consumer misses frames."""
         began_s = self._clock()
-        for n, frame in enumerate(self.footage.frames()):
-            late_s = self._clock() - began_s - n / self.footage.fps
+        for frame in self.footage.frames():
+            late_s = self._clock() - began_s - self.footage.t_s
             if late_s > 1 / self.footage.fps:
                 continue
             time.sleep(max(-late_s, 0.0))

@@ -10,7 +10,9 @@ from pathlib import Path
 import cv2
 
 from follow.camera import CameraError
-from follow.camera.video import LiveVideo, is_live, open_replay
+from follow.camera.live import LiveVideo
+from follow.camera.names import is_live
+from follow.camera.video import open_replay
 from follow.cli.commands import DoctorCommand
 from follow.flight import preflight as doctor
 from follow.flight.finding import Finding, Health, NotFitError, is_fit, places

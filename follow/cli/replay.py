@@ -1,10 +1,13 @@
 """`follow replay`: footage, the virtual camera over it, and the link that only pretends to fly."""
 
 import math
+import os
 from dataclasses import replace
+from functools import partial
 
 from follow.camera import Camera
-from follow.camera.video import ReplayCamera, is_live, open_replay
+from follow.camera.names import is_live
+from follow.camera.video import ReplayCamera, open_replay
 from follow.camera.window import WindowCamera
 from follow.cli.commands import ReplayCommand, box_of, lens_of
 from follow.cli.settings import as_toml
@@ -42,9 +45,11 @@ def replay(command: ReplayCommand) -> None:
     terminal = Terminal()
     config = command.config
     footage = open_replay(command.source, command.fps, terminal.report)
-    about = f"# follow replay {command.source}\n\ntracker {command.tracker}, {footage.fps:g} frames/s"
+    source = os.fsencode(command.source).decode(errors="replace")  # a name need not be UTF-8, a recording must
+    about = f"# follow replay {source}\n\ntracker {command.tracker}, {footage.fps:g} frames/s"
     with footage:
-        link = ReplayLink(footage.fps, REPLAY_HEIGHT_M, command.autopilot, holds_place=command.ptz)
+        now = partial(getattr, footage, "t_s")
+        link = ReplayLink(footage.fps, REPLAY_HEIGHT_M, command.autopilot, holds_place=command.ptz, now=now)
         camera: Camera = footage
         lens = lens_of(config.camera, *footage.size)
         ptz = windowed(footage, link, box, config) if command.ptz else None

@@ -12,8 +12,10 @@ from typing import Any
 
 from follow.camera import Camera
 from follow.camera.calibration import described
+from follow.camera.live import LiveVideo
+from follow.camera.names import is_live
 from follow.camera.realtime import RealTime
-from follow.camera.video import LiveVideo, is_live, open_replay
+from follow.camera.video import open_replay
 from follow.cli.commands import RunCommand, box_of, lens_of
 from follow.cli.layers import SCENE, from_scene
 from follow.cli.settings import as_toml, scene_values

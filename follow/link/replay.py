@@ -5,6 +5,7 @@ of each image, and the vehicle's yaw and height move the window, so that bad con
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from types import TracebackType
 
@@ -25,6 +26,7 @@ FASTEST_YAW_RAD_S = math.radians(200.0)  # ArduPilot's ATC_SLEW_YAW allows up to
 class ReplayLink:
     """A vehicle with first-order responses, whose time advances by one frame period at each `send`.
 
+    With `now`, which gives the time of the present round, it flies until then instead: footage of variable frame rate.
     With `holds_place` its horizontal position is fixed whatever speed is commanded: the footage's camera did not move.
     `refused` counts, by rule, the setpoints that were not obeyed and the stream timeouts.
     """
@@ -35,18 +37,22 @@ class ReplayLink:
         height_m: float,
         autopilot: Autopilot = Autopilot.PX4,
         holds_place: bool = False,
+        now: Callable[[], float] | None = None,
     ) -> None:
         self._fps = fps
         self._autopilot = autopilot
         self._holds_place = holds_place
+        self._now = now
         self._round = 0
         self._obeyed = HOVER
-        self._silent_s = 0.0
+        self._streaming, self._silent_s = True, 0.0
         self.refused = {"too fast": 0, "stream timeout": 0}
-        self._state = self._stamped(VehicleState(0.0, down_m=-height_m, autopilot=autopilot))
+        self._state = self._stamped(VehicleState(0.0, down_m=-height_m, autopilot=autopilot), 0.0)
 
     def state(self) -> VehicleState:
         """The vehicle now; all telemetry has the time of the frame."""
+        if self._now is not None and self._now() > self._state.t_s:
+            self._pass_time(self._now())
         return self._state
 
     def send(self, setpoint: Setpoint | None) -> None:
@@ -56,23 +62,28 @@ class ReplayLink:
         """
         if setpoint is not None:
             setpoint.require_finite()
-        if setpoint is None:
-            self._silent_s += 1 / self._fps
-            timeout = STREAM_TIMEOUT_S[self._autopilot]
-            if self._silent_s >= timeout > self._silent_s - 1 / self._fps:
-                self.refused["stream timeout"] += 1
-            if self._silent_s >= timeout:
-                self._obeyed = HOVER
-        elif not _within(setpoint):
+        self._streaming = setpoint is not None
+        if setpoint is not None and not _within(setpoint):
             self.refused["too fast"] += 1
-        else:
+        elif setpoint is not None:
             self._silent_s = 0.0
             self._obeyed = setpoint
         self._round += 1
-        self._fly()
+        if self._now is None:
+            self._pass_time(self._round / self._fps)
 
-    def _fly(self) -> None:
-        dt = 1 / self._fps
+    def _pass_time(self, t_s: float) -> None:
+        """Fly what is obeyed until `t_s`."""
+        dt = 1 / self._fps if self._now is None else t_s - self._state.t_s
+        if not self._streaming:
+            timeout = STREAM_TIMEOUT_S[self._autopilot]
+            self.refused["stream timeout"] += self._silent_s < timeout <= self._silent_s + dt
+            self._silent_s += dt
+            if self._silent_s >= timeout:
+                self._obeyed = HOVER
+        self._fly(t_s, dt)
+
+    def _fly(self, t_s: float, dt: float) -> None:
         old, wanted = self._state, self._obeyed
         turned = 1 - math.exp(-dt / YAW_TAU_S)
         sped = 1 - math.exp(-dt / SPEED_TAU_S)
@@ -96,10 +107,9 @@ class ReplayLink:
             east_m_s=east_m_s,
             down_m_s=down_m_s,
         )
-        self._state = self._stamped(flown)
+        self._state = self._stamped(flown, t_s)
 
-    def _stamped(self, state: VehicleState) -> VehicleState:
-        t_s = self._round / self._fps
+    def _stamped(self, state: VehicleState, t_s: float) -> VehicleState:
         mode = MODES_OF[self._autopilot].control
         return replace(
             state,

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from racf.evaluate.benchmarks import all_frames
+from racf.video import Video
 
 Image = NDArray[np.uint8]  # (rows, columns, 3), BGR
 
@@ -31,13 +32,6 @@ def frames_of(source: Path) -> Iterator[Image]:
         return
     if not source.is_file():
         raise FileNotFoundError(f"{source} is neither a folder of images nor a video file")
-    video = cv2.VideoCapture(str(source))
-    try:
-        more, image = video.read()
-        if not more:
-            raise ValueError(f"{source} is not a video that OpenCV can read")
-        while more:
-            yield np.asarray(image, dtype=np.uint8)
-            more, image = video.read()
-    finally:
-        video.release()
+    with Video(source) as video:
+        for shown in video.images():
+            yield shown.image

@@ -18,9 +18,10 @@ from racf.evaluate.images import frames_of
 from racf.evaluate.metrics import Boxes, Convention, Score, score
 from racf.evaluate.runner import TrackerBuilder, naming
 from racf.track import Track
+from racf.video import Video
+from racf.video_writer import SUFFIXES, VideoWriter
 
 COLUMNS = ("frame", "x_px", "y_px", "w_px", "h_px", "confidence", "found", "refined", "psr", "apce", "tracker_ms")
-VIDEO_SUFFIXES = (".mp4", ".avi", ".mkv")
 OVERLAY_FPS = 30.0  # of a folder of images, which does not say
 FOUND, LOST, ANNOTATION = (0, 220, 0), (0, 0, 255), (255, 255, 255)  # BGR
 
@@ -112,45 +113,19 @@ def _rectangle(image: NDArray[np.uint8], box: tuple[float, float, float, float],
     cv2.rectangle(image, (round(x), round(y)), (round(x + w), round(y + h)), colour, 1)
 
 
-class _Video:
-    """A video file that takes its size from its first image."""
-
-    def __init__(self, path: Path, fps: float) -> None:
-        self._path, self._fps = path, fps
-        self._video: cv2.VideoWriter | None = None
-
-    def put(self, image: NDArray[np.uint8]) -> None:
-        if self._video is None:
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            code = cv2.VideoWriter.fourcc(*("MJPG" if self._path.suffix == ".avi" else "mp4v"))
-            self._video = cv2.VideoWriter(str(self._path), code, self._fps, (image.shape[1], image.shape[0]))
-            if not self._video.isOpened():
-                raise OSError(f"{self._path} cannot be written as a video")
-        self._video.write(image)
-
-    def close(self) -> None:
-        if self._video is not None:
-            self._video.release()
-
-
 @contextmanager
-def _writer(overlay: Path | None, source: Path) -> Generator[_Video | None]:
+def _writer(overlay: Path | None, source: Path) -> Generator[VideoWriter | None]:
     if overlay is None:
         yield None
         return
-    if overlay.suffix.lower() not in VIDEO_SUFFIXES:
-        raise UsageError(f"an overlay is a video file ({', '.join(VIDEO_SUFFIXES)}), not {overlay}")
-    video = _Video(overlay, _fps_of(source))
-    try:
+    if overlay.suffix.lower() not in SUFFIXES:
+        raise UsageError(f"an overlay is a video file ({', '.join(SUFFIXES)}), not {overlay}")
+    with VideoWriter(overlay, _fps_of(source)) as video:
         yield video
-    finally:
-        video.close()
 
 
 def _fps_of(source: Path) -> float:
     if source.is_dir():
         return OVERLAY_FPS
-    video = cv2.VideoCapture(str(source))
-    fps = float(video.get(cv2.CAP_PROP_FPS))
-    video.release()
-    return fps if 0 < fps <= 1000 else OVERLAY_FPS
+    with Video(source) as video:
+        return video.fps

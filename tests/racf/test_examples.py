@@ -27,7 +27,7 @@ def test_a_video_is_tracked_in_ten_lines(tmp_path):
     lines = example("track_video.py", tmp_path / "clip.mp4", f"{x},{y},{w},{h}").splitlines()
     assert len(lines) == 11
     assert all(line.endswith("found") for line in lines)
-    last = [float(v) for v in lines[-1].split()[0].split(",")]
+    last = [float(v) for v in lines[-1].split()[1].split(",")]
     assert np.abs(np.array(last[:2]) - (truth[-1, :2] - 1)).max() < 5
     code = (EXAMPLES / "track_video.py").read_text().partition("import racf\n")[2]
     assert len([line for line in code.splitlines() if line]) <= 10

@@ -36,6 +36,7 @@ from follow.recording.scoring import Annotations
 from racf.box import Box
 from racf.commandline import UsageError, parse
 from racf.evaluate.boxfiles import read_boxes
+from racf.video_writer import VideoWriter
 from sim.autopilot.system import AutopilotSystem
 from sim.dynamics import Vehicle, VehicleTruth
 
@@ -161,10 +162,9 @@ def targets(folder: Path) -> dict[str, tuple[list[bytes], Target]]:
     """Name -> (seeds, what reads them)."""
     picture = np.random.default_rng(0).integers(0, 256, (48, 64, 3), np.uint8)
     video = folder / "seed.avi"
-    writer = cv2.VideoWriter(str(video), cv2.VideoWriter.fourcc(*"MJPG"), 30.0, (64, 48))
-    for i in range(8):
-        writer.write(np.roll(picture, i, 1))
-    writer.release()
+    with VideoWriter(video, 30.0) as writer:
+        for i in range(8):
+            writer.put(np.roll(picture, i, 1))
     stills = [cv2.imencode(suffix, picture)[1].tobytes() for suffix in (".png", ".jpg")]
     boxes = [b"1,2,3,4\n5,6,7,8\nNaN,NaN,NaN,NaN\n", b"1 2 3 4\n", b"1.5\t2\t3\t1e3\r\n"]
     words = [

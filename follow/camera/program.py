@@ -1,0 +1,226 @@
+"""A program's standard output as a camera: rpicam-vid, nvgstcapture, gst-launch, ffmpeg, libcamera-vid.
+
+The program gets its own session, so that Ctrl-C in the terminal reaches only us; it is ended with the camera, and if we
+are killed it loses its pipe (SIGPIPE).
+"""
+
+import contextlib
+import os
+import select
+import shlex
+import signal
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import av
+import av.error
+
+from follow.camera import CameraError
+from follow.camera.capture import OPEN_S, QUICK, SILENT_S, Image, StreamCapture
+from follow.camera.names import RAW_FORMATS, CameraName
+from follow.camera.stream_clock import SteadyArrivals
+from racf.video import to_bgr
+
+CHUNK = 1 << 20  # bytes in one read at most: a pipe holds 64 KiB unless it was made larger
+END_S = 1.0  # after SIGTERM, before SIGKILL
+SOI, EOI = (
+    b"\xff\xd8",
+    b"\xff\xd9",
+)  # JPEG's start and end of image; within the coded data 0xff is followed by 0x00 or a restart marker
+BARE = ("h264", "hevc", "mjpeg", "m4v")  # FFmpeg's names of streams without a container
+BARE_FPS = "30"  # a bare stream's nominal rate: its stamps are not used
+
+
+class RunningProgram:
+    """A program with its standard output as a file to read, its last line of error, and when what was read came."""
+
+    def __init__(self, name: CameraName, clock: Callable[[], float]) -> None:
+        self._name, self._clock = name, clock
+        self.last_error = ""
+        self.read_t_s = self.before_t_s = clock()
+        self.timeout_s = OPEN_S
+        try:
+            words = shlex.split(name.address)
+            self._process = subprocess.Popen(
+                words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True
+            )
+        except (OSError, ValueError) as error:
+            why = getattr(error, "strerror", None) or str(error)
+            raise CameraError(f"camera {name.text!r}: the program cannot be started: {why}") from None
+        assert self._process.stdout is not None
+        self._output = self._process.stdout.fileno()
+        self._listener = threading.Thread(target=self._listen, name="camera errors", daemon=True)
+        self._listener.start()
+        self._peeked = b""
+
+    def peek(self) -> bytes:
+        """The first bytes, which `read` gives again.  Raises CameraError when nothing comes."""
+        self._peeked = self._peeked or self._from_pipe(CHUNK)
+        return self._peeked
+
+    def _listen(self) -> None:
+        assert self._process.stderr is not None
+        for line in self._process.stderr:
+            if text := line.decode(errors="replace").strip():
+                self.last_error = text
+
+    def read(self, size: int) -> bytes:
+        """What there is, at most `size` bytes; b"" at the end.  Raises CameraError when nothing comes."""
+        if self._peeked:
+            data, self._peeked = self._peeked[:size], self._peeked[size:]
+            return data
+        return self._from_pipe(size)
+
+    def _from_pipe(self, size: int) -> bytes:
+        if not select.select([self._output], [], [], self.timeout_s)[0]:
+            raise CameraError(f"nothing came for {self.timeout_s:g} s{self.said()}")
+        data = os.read(self._output, min(size, CHUNK))
+        now_t_s = self._clock()
+        if now_t_s - self.read_t_s > 1e-3:  # a new burst, not the rest of the last one
+            self.before_t_s = self.read_t_s
+        self.read_t_s = now_t_s
+        return data
+
+    def said(self) -> str:
+        """How it ended and its last line of error, to be put behind a reason."""
+        status = self._process.poll()
+        self._listener.join(timeout=0.2 if status is not None else 0.0)
+        ended = f"; the program ended with status {status}" if status is not None else ""
+        return ended + (f": {self.last_error}" if self.last_error else "")
+
+    def wait_end(self) -> None:
+        """Wait shortly for a program that has closed its output."""
+        end_s = time.monotonic() + END_S
+        while self._process.poll() is None and time.monotonic() < end_s:
+            time.sleep(0.01)
+
+    def interrupt(self) -> None:
+        """Tell the program to end."""
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self._process.pid, signal.SIGTERM)
+
+    def end(self) -> None:
+        """End the program and everything it started."""
+        for number in (signal.SIGTERM, signal.SIGKILL):
+            try:
+                os.killpg(self._process.pid, number)
+            except (ProcessLookupError, PermissionError):
+                break
+            self.wait_end()
+            if self._process.poll() is not None and number is signal.SIGTERM:
+                continue  # what it started may still run
+
+    def close(self) -> None:
+        """End the program, and close its pipes, which nobody must read any more."""
+        self.end()
+        for pipe in (self._process.stdout, self._process.stderr):
+            if pipe is not None:
+                pipe.close()
+        self._process.wait()
+
+
+class ProgramCapture:
+    """A program whose output FFmpeg takes apart: H.264, H.265, raw images, or a container with stamps."""
+
+    def __init__(self, name: CameraName, program: RunningProgram, clock: Callable[[], float]) -> None:
+        self._name, self._program = name, program
+        self._container = self._open()
+        # A bare stream's packet is known to be whole only when the next one begins.
+        bare = self._container.format.name in BARE
+        arrived = (lambda: program.before_t_s) if bare else (lambda: program.read_t_s)
+        self._capture = StreamCapture(self._container, clock, arrived)
+        self.size = self._capture.size
+
+    def _open(self) -> Any:
+        options, format_ = dict(QUICK), self._name.options.get("format")
+        if format_ in RAW_FORMATS:
+            assert self._name.size is not None
+            options = {"pixel_format": format_, "video_size": self._name.options["size"]}
+            options["framerate"] = self._name.options.get("fps", BARE_FPS)
+            format_ = "rawvideo"
+        try:
+            return av.open(self._program, format=format_, options=options, metadata_errors="replace")
+        except (av.error.FFmpegError, OSError, ValueError, CameraError) as error:
+            self._program.wait_end()
+            said = "" if isinstance(error, CameraError) else self._program.said()
+            raise CameraError(f"{getattr(error, 'strerror', None) or error}{said}") from None
+
+    def images(self) -> Iterator[tuple[Image, float | None]]:
+        """Yield what the program writes until it ends."""
+        try:
+            yield from self._capture.images()
+        except CameraError as error:
+            self._program.wait_end()
+            raise CameraError(f"{error}{self._program.said()}") from None
+
+    def interrupt(self) -> None:
+        """Tell the program to end."""
+        self._program.interrupt()
+        self._capture.interrupt()
+
+    def close(self) -> None:
+        """End the program."""
+        self._program.end()
+        self._capture.close()
+        self._program.close()
+
+
+class JpegCapture:
+    """A program that writes JPEG after JPEG: each is whole with its end marker, not only when the next one begins."""
+
+    def __init__(self, program: RunningProgram) -> None:
+        self._program = program
+        self._context: Any = av.CodecContext.create("mjpeg", "r")
+        self._taken = SteadyArrivals()
+        first = next(self._decoded(), None)
+        if first is None:
+            raise CameraError("no JPEG came")
+        self.size = (first[0].shape[1], first[0].shape[0])
+
+    def _decoded(self) -> Iterator[tuple[Image, float | None]]:
+        held = b""
+        while data := self._program.read(CHUNK):
+            held += data
+            if not held.endswith(EOI):
+                continue
+            # Of several that waited only the last is of use; one starts where another ended.
+            newest = held[held.rfind(EOI + SOI, 0, -2) + 2 :] if EOI + SOI in held else held
+            held = b""
+            try:
+                frames = self._context.decode(av.Packet(newest))
+            except av.error.FFmpegError:
+                continue
+            for frame in frames:
+                yield to_bgr(frame), self._taken.taken_at(0.0, self._program.read_t_s)
+
+    def images(self) -> Iterator[tuple[Image, float | None]]:
+        """Yield the newest image of each read until the program ends."""
+        yield from self._decoded()
+        self._program.wait_end()
+        raise CameraError(f"it ended{self._program.said()}")
+
+    def interrupt(self) -> None:
+        """Tell the program to end."""
+        self._program.interrupt()
+
+    def close(self) -> None:
+        """End the program."""
+        self._program.close()
+
+
+def open_program(name: CameraName, clock: Callable[[], float]) -> ProgramCapture | JpegCapture:
+    """Start a program and wait for its first image.  Raises CameraError with its last line of error."""
+    program = RunningProgram(name, clock)
+    try:
+        jpeg = name.options.get("format") == "mjpeg" or ("format" not in name.options and program.peek()[:2] == SOI)
+        capture = JpegCapture(program) if jpeg else ProgramCapture(name, program, clock)
+    except CameraError as error:
+        program.wait_end()
+        said = "" if "; the program ended" in str(error) else program.said()
+        program.close()
+        raise CameraError(f"camera {name.text!r} cannot be opened: {error}{said}") from None
+    program.timeout_s = SILENT_S
+    return capture
