@@ -191,7 +191,7 @@ class Servo:
         """Return the velocity that puts the target on the optical axis, keeping heading and height."""
         c = self.config
         height = estimate.range_m * math.tan(min(estimate.depression_rad, math.pi / 2 - 1e-3))
-        ahead = height / math.tan(max(self.down_rad - state.pitch_rad, 0.2))
+        ahead = height / math.tan(max(self.axis_rad(), 0.2))
         ahead_m, right_m = heading_to_ned(estimate.range_m, 0.0, estimate.azimuth_rad)
         ahead_m -= ahead
         forward, right, _ = state.body_velocity_m_s()

@@ -12,7 +12,7 @@ STICK_US = 150  # 30 % of a stick's travel from the centre: the default of PX4's
 STICKS = 4  # channels 1 to 4, in any order
 PWM = range(800, 2201)  # valid pulses; 0 and 65535 mean that the channel does not exist
 STICK_SAMPLES = 2  # a stick must be off its position in this many samples in a row
-ENDS_US = 1120, 1880  # a receiver's failsafe sets a stick to one of its ends, beyond these
+ENDS_US = 1050, 1950  # a receiver's failsafe sets a stick to one of its ends, beyond these
 STAYS_US = 3  # a preset does not move; a hand moves a stick by more than this between two samples
 
 

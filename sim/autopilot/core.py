@@ -184,6 +184,11 @@ class AutopilotCore(ABC):
         self._sticks_end_s = self.t_s + self._sticks_last_s()
 
     @property
+    def is_taking_off(self) -> bool:
+        """Whether it climbs to its take-off height."""
+        return self.mode == "TAKEOFF"
+
+    @property
     def is_landing(self) -> bool:
         """Whether it is in the air and descending to the ground."""
         mode = self.mode

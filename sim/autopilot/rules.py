@@ -202,6 +202,11 @@ class ArduCopterFlight(AutopilotCore):
         self._climbing = True
         return Result.ACCEPTED
 
+    @property
+    def is_taking_off(self) -> bool:
+        """Whether it climbs to its take-off height; it stays in GUIDED."""
+        return self._climbing
+
     def _guide_velocity(self) -> Setpoint:
         return self._guide_climb() if self._climbing else self._avoiding(super()._guide_velocity())
 

@@ -129,7 +129,7 @@ def _extended_sys_state(flight: AutopilotCore, _t_s: float) -> Message:
     on_ground = flight.vehicle.motion.landed
     if flight.is_landing:
         state = dialect.MAV_LANDED_STATE_LANDING
-    elif flight.mode == "TAKEOFF":
+    elif flight.is_taking_off:
         state = dialect.MAV_LANDED_STATE_TAKEOFF
     else:
         state = dialect.MAV_LANDED_STATE_ON_GROUND if on_ground else dialect.MAV_LANDED_STATE_IN_AIR

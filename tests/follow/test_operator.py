@@ -232,7 +232,7 @@ def test_a_stick_that_a_hand_moves_is_the_pilots(second):
     ears = Ears((1500, 1500, 1500, 1500))
     d = desk(heard=ears)
     assert d.hold("follow") == []
-    ears.rc_channels = (1500, 1500, 1100 if second[2] < 1100 else 1330, 1500)
+    ears.rc_channels = (1500, 1500, 1000 if second[2] < 1100 else 1330, 1500)
     assert d.be("follow") is None
     ears.rc_channels = second
     assert d.round("follow").reason.cause is Cause.STICK

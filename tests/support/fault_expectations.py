@@ -59,6 +59,23 @@ def stops(bound: Stop) -> Expectation:
     return Expectation(must, f"stands within {bound.within_s:g} s, {bound.within_m:g} m", judge, stand)
 
 
+def stands(bound: Stop) -> Expectation:
+    """It ramps down and the stream ends; nothing is heard of its mode, so nothing is requested."""
+
+    def judge(o: Outcome, autopilot: Autopilot) -> list[str]:
+        wrong = stopped(o, bound)
+        if o.setpoints_at_end or o.gate_mode != "ended":
+            wrong.append(f"the gate ended in {o.gate_mode}")
+        if o.modes_asked:
+            wrong.append(f"{o.modes_asked} modes were requested")
+        if o.vehicle_mode == "OFFBOARD":
+            wrong.append("it is still in OFFBOARD")
+        return wrong
+
+    must = "ramps to zero, ends the stream, requests nothing: its mode is not heard"
+    return Expectation(must, f"stands within {bound.within_s:g} s, {bound.within_m:g} m", judge, stand)
+
+
 def hovers(bound: Stop) -> Expectation:
     """It hovers and goes on streaming: the target may come back."""
 
@@ -132,6 +149,17 @@ def pilot_has_it(within_s: float) -> Expectation:
         return wrong
 
     must = "ends the stream; the pilot's sticks act"
+    return Expectation(must, f"last setpoint within {within_s:g} s", judge, silence)
+
+
+def gives_sticks(within_s: float) -> Expectation:
+    """OBSERVE was ordered and then a stick moved: the stream ended at once, and the pilot's sticks act."""
+
+    def judge(o: Outcome, autopilot: Autopilot) -> list[str]:
+        wrong = pilot_has_it(within_s).judge(o, autopilot)
+        return wrong if o.modes_asked <= ASK_TIMES else [*wrong, f"{o.modes_asked} modes were requested"]
+
+    must = "hovers in Hold or BRAKE; then the pilot's sticks act"
     return Expectation(must, f"last setpoint within {within_s:g} s", judge, silence)
 
 

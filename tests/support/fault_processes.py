@@ -187,6 +187,20 @@ def nobody_reads(real: Real) -> Judged:
     return wrong + ([f"exit status {status}"] if status else []), "flew on"
 
 
+def blocked(real: Real) -> Judged:
+    """Its terminal takes no more lines: the flight goes on, and Ctrl-C still ends it with Hold or BRAKE."""
+    track = Track(real)
+    real.application.block()
+    real.application.process.send_signal(signal.SIGUSR1)  # makes it say something
+    wrong = still_following(real, 3.0)
+    real.application.process.send_signal(signal.SIGINT)
+    track.watch(8.0)
+    status = real.application.process.wait(20.0)
+    if real.pilot.flown_mode() != HOLD[real.rules]:
+        wrong.append(f"the vehicle is in {real.pilot.flown_mode()}")
+    return wrong + ([f"exit status {status}"] if status else []), "flew on"
+
+
 LEAVES = "ramps down, requests Hold or BRAKE, reports it, ends with status 0"
 PROCESS_ROWS = (
     ProcessRow("Ctrl-C", LEAVES, "stands within 6 s, 6 m", leave_by(signal.SIGINT)),
@@ -206,6 +220,12 @@ PROCESS_ROWS = (
         disk_full,
         ("px4",),
         options={"preexec_fn": little_disk},
+    ),
+    ProcessRow(
+        "terminal blocked (Ctrl-S)",
+        "goes on following, still ends with status 0",
+        "more than 3 setpoints/s",
+        blocked,
     ),
     ProcessRow(
         "viewer gone",

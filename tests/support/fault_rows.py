@@ -6,14 +6,23 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from pymavlink.dialects.v20 import common as dialect
 
 from follow.camera import CameraError
 from follow.messages import Autopilot, Frame, Setpoint
 from follow.safety.gate import Limits
 from racf.box import Box
 from racf.track import Track
-from tests.support.bounds import RUN_M_S, STALE_FRAME_S, STALE_HEARTBEAT_S, STALE_POSITION_S, STREAM_LOSS_S, coast, stop
+from tests.support.bounds import (
+    RUN_M_S,
+    SILENT_S,
+    STALE_FRAME_S,
+    STALE_HEARTBEAT_S,
+    STALE_POSITION_S,
+    STICK_SEEN_S,
+    STREAM_LOSS_S,
+    coast,
+    stop,
+)
 from tests.support.fault_expectations import (
     Expectation,
     either,
@@ -22,12 +31,23 @@ from tests.support.fault_expectations import (
     hovers,
     lost_link,
     pilot_has_it,
+    stands,
     stops,
     within,
 )
-from tests.support.fault_rig import Outcome, Rig, Way, outcome
-
-HEARTBEAT, ATTITUDE, POSITION = 0, 30, 32
+from tests.support.fault_rig import Outcome, Rig, outcome
+from tests.support.link_faults import (
+    ATTITUDE,
+    HEARTBEAT,
+    POSITION,
+    another_vehicle,
+    deaf,
+    drop_for,
+    garble,
+    lose_a_third,
+    second_sender,
+    shuffle,
+)
 
 
 @dataclass(frozen=True)
@@ -64,42 +84,6 @@ class Result:
 # Faults
 
 
-def number(packet: bytes) -> int:
-    """A MAVLink 2 packet's message id."""
-    return int.from_bytes(packet[7:10], "little")
-
-
-def without(*numbers: int) -> Way:
-    """Withhold these messages, or everything when none is named."""
-    return lambda packets: [p for p in packets if numbers and number(p) not in numbers]
-
-
-def deaf(*numbers: int) -> Callable[[Rig], None]:
-    def inject(rig: Rig) -> None:
-        rig.to_client = without(*numbers)
-
-    return inject
-
-
-def drop_for(seconds: float) -> Callable[[Rig], None]:
-    def inject(rig: Rig) -> None:
-        def way(packets: list[bytes]) -> list[bytes]:
-            return packets if rig.t_s > rig.fault_t_s + seconds else []
-
-        rig.to_client = rig.to_autopilot = way
-
-    return inject
-
-
-def uplink_lost_for(seconds: float) -> Callable[[Rig], None]:
-    """Nothing that we send arrives; telemetry does."""
-
-    def inject(rig: Rig) -> None:
-        rig.to_autopilot = lambda packets: packets if rig.t_s > rig.fault_t_s + seconds else []
-
-    return inject
-
-
 def hold_up_for(seconds: float) -> Callable[[Rig], None]:
     """A network that stalls, then delivers all frames, three a round: the newest of them, with its own time."""
 
@@ -120,70 +104,6 @@ def hold_up_for(seconds: float) -> Callable[[Rig], None]:
         rig.track = lambda track: replace(track, box=seen[0], search=seen[0].scaled(3))
 
     return inject
-
-
-def lose_a_third(rig: Rig) -> None:
-    def way(packets: list[bytes]) -> list[bytes]:
-        return [p for p in packets if rig.chance.random() >= 0.3]
-
-    rig.to_client = rig.to_autopilot = way
-
-
-def shuffle(rig: Rig) -> None:
-    """Every packet twice, each late by up to 60 ms, so that they overtake each other."""
-
-    def late() -> Way:
-        waiting: list[tuple[float, bytes]] = []
-
-        def way(packets: list[bytes]) -> list[bytes]:
-            waiting.extend((rig.t_s + rig.chance.uniform(0.0, 0.06), p) for p in packets for _ in range(2))
-            due = [p for t_s, p in waiting if t_s <= rig.t_s]
-            waiting[:] = [(t_s, p) for t_s, p in waiting if t_s > rig.t_s]
-            return due
-
-        return way
-
-    rig.to_client, rig.to_autopilot = late(), late()
-
-
-def garble(rig: Rig) -> None:
-    """Random datagrams and broken copies of true ones, both ways."""
-
-    def way(packets: list[bytes]) -> list[bytes]:
-        out: list[bytes] = []
-        for packet in packets:
-            broken = bytearray(packet)
-            broken[rig.chance.randrange(len(broken))] ^= 1 << rig.chance.randrange(8)
-            out += [rig.chance.randbytes(rig.chance.randrange(1, 300)), bytes(broken), packet]
-        return out
-
-    rig.to_client = rig.to_autopilot = way
-
-
-def another_vehicle(rig: Rig) -> None:
-    """A second vehicle on the link: landed, disarmed, elsewhere."""
-    mav = dialect.MAVLink(None, srcSystem=2, srcComponent=1)
-    state = dialect.MAVLink_heartbeat_message(2, 12 if rig.autopilot is Autopilot.PX4 else 3, 0, 0, 3, 3)
-
-    def way(packets: list[bytes]) -> list[bytes]:
-        ms = round(rig.t_s * 1e3)
-        attitude = dialect.MAVLink_attitude_message(ms, 1.0, 1.0, 1.0, 9.0, 9.0, 9.0)
-        place = dialect.MAVLink_local_position_ned_message(ms, 500.0, 500.0, 0.0, 30.0, 30.0, 30.0)
-        return packets + [message.pack(mav) for message in (state, attitude, place)]
-
-    rig.to_client = way
-
-
-def second_sender(rig: Rig) -> None:
-    """A ground station streams setpoints over the same link."""
-    mav = dialect.MAVLink(None, srcSystem=255, srcComponent=190)
-    numbers = 0.0, 0.0, 0.0, 2.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.5
-
-    def way(packets: list[bytes]) -> list[bytes]:
-        message = dialect.MAVLink_set_position_target_local_ned_message(0, 1, 1, 8, 0x05C7, *numbers)
-        return [*packets, message.pack(mav)]
-
-    rig.to_client = way
 
 
 def freeze(rig: Rig) -> None:
@@ -329,7 +249,7 @@ def nothing(_rig: Rig) -> None:
 
 NEAR = replace(Limits(), fence_m=30.0)
 LOW = replace(Limits(), ceiling_m=11.0)
-PILOT_HAS_IT = pilot_has_it(2.2)
+PILOT_HAS_IT = pilot_has_it(STICK_SEEN_S)
 STOP = stops(stop(RUN_M_S, STALE_FRAME_S))
 HOVER = hovers(coast(RUN_M_S))
 WITHIN_SPEED = within("exceeds no limit, in control", "8 m/s + 0.5 m/s", lambda o: o.fastest_m_s, lambda v: v < 8.5)
@@ -348,10 +268,10 @@ ROWS = (
     Row("infinite box, forged", forged(math.inf), HOVER),
     Row("box jumps to something else", jump, HOVER, fast=True),
     Row("box hops to and fro", hop, goes_on(3.0)),
-    Row("telemetry stops", deaf(), STOP, fast=True),
+    Row("telemetry stops", deaf(), stands(stop(RUN_M_S, STALE_FRAME_S)), fast=True),
     Row("attitude stops", deaf(ATTITUDE), STOP),
     Row("position stops", deaf(POSITION), stops(stop(RUN_M_S, STALE_POSITION_S))),
-    Row("heartbeat stops", deaf(HEARTBEAT), stops(stop(RUN_M_S, STALE_HEARTBEAT_S))),
+    Row("heartbeat stops", deaf(HEARTBEAT), stands(stop(RUN_M_S, STALE_HEARTBEAT_S))),
     Row("link drops for 0.3 s", drop_for(0.3), goes_on(3.0)),
     Row("link drops for 5 s and returns", drop_for(5.0), lost_link(stop(RUN_M_S, STREAM_LOSS_S)), fast=True),
     Row("30 % loss both ways", lose_a_third, goes_on(3.0), fast=True),
@@ -361,11 +281,11 @@ ROWS = (
     Row(
         "pilot takes over by a mode",
         pilot,
-        falls_silent(1.2, ("POSCTL", "LOITER")),
+        falls_silent(SILENT_S, ("POSCTL", "LOITER")),
         fast=True,
     ),
     Row("pilot moves a stick", stick, PILOT_HAS_IT),
-    Row("disarm", disarm, falls_silent(1.2)),
+    Row("disarm", disarm, falls_silent(SILENT_S)),
     Row("second sender", second_sender, STOP, fast=True),
     Row("vehicle's clock jumps +100 s", vehicle_clock(100.0), goes_on(3.0)),
     Row("vehicle's clock jumps -50 s", vehicle_clock(-50.0), goes_on(3.0)),
@@ -373,8 +293,8 @@ ROWS = (
     Row("our clock jumps +5 s", our_clock(5.0), STOP),
     Row("our clock jumps -5 s", our_clock(-5.0), WITHIN_SPEED),
     Row("servo returns NaN, inf and 10^9", wild_desired, WITHIN_SPEED),
-    Row("low battery failsafe of the autopilot", low_battery, falls_silent(1.2, ("RTL", "LAND"))),
-    Row("autopilot's fence reached", autopilots_fence, falls_silent(1.2, ("RTL", "LAND"))),
+    Row("low battery failsafe of the autopilot", low_battery, falls_silent(SILENT_S, ("RTL", "LAND"))),
+    Row("autopilot's fence reached", autopilots_fence, falls_silent(SILENT_S, ("RTL", "LAND"))),
     Row(
         "our fence reached",
         nothing,

@@ -1,5 +1,6 @@
 """Rows of the fault matrix about people: who orders and who flies, and who comes near.  See docs/hazards.md."""
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -8,9 +9,11 @@ from pymavlink.dialects.v20 import common as dialect
 from follow.control.servo import ServoConfig, ServoMode
 from follow.messages import Autopilot, Order
 from sim.autopilot.core import Result
-from tests.support.bounds import REMOTE_TOLD_S, RUN_M_S, STREAM_LOSS_S, stop
+from tests.support.bounds import REMOTE_TOLD_S, RUN_M_S, SILENT_S, STICK_SEEN_S, STREAM_LOSS_S, stop
 from tests.support.fault_expectations import (
     falls_silent,
+    gives_sticks,
+    goes_on,
     keeps,
     lost_link,
     never_streams,
@@ -18,11 +21,14 @@ from tests.support.fault_expectations import (
     stops,
 )
 from tests.support.fault_rig import Rig, Way
-from tests.support.fault_rows import STOP, Row, deaf, lose, nothing, number, uplink_lost_for
+from tests.support.fault_rows import STOP, Row, lose, nothing
+from tests.support.link_faults import deaf, number, uplink_lost_for
 
 EXTENDED_SYS_STATE, BATTERY_STATUS, SYS_STATUS = 245, 147, 1
 PILOTS_MODE = {Autopilot.PX4: "POSCTL", Autopilot.ARDUPILOT: "LOITER"}
 BY_HAND = {"at_once": False, "path": lambda _t_s: (12.0, 0.0), "end_t_s": 27.0}
+
+GROUNDED = {**BY_HAND, "height_m": 0.0, "fault_t_s": 5.0, "end_t_s": 10.5}
 
 
 def order_in(mode: str) -> Callable[[Rig], None]:
@@ -34,6 +40,35 @@ def order_in(mode: str) -> Callable[[Rig], None]:
             rig.operator.order(Order.FOLLOW, "key f")
 
     return inject
+
+
+def ordering(rig: Rig) -> Way:
+    """A way that passes everything on and orders FOLLOW once a second."""
+    given: list[float] = []
+
+    def way(packets: list[bytes]) -> list[bytes]:
+        if rig.t_s - rig.fault_t_s > len(given):
+            given.append(rig.t_s)
+            rig.operator.order(Order.FOLLOW, "key f")
+        return packets
+
+    return way
+
+
+def on_the_ground(rig: Rig) -> None:
+    """Armed, and not taking off."""
+    flight = rig.system.flight
+    flight.parameters.update({"COM_DISARM_PRFLT": 100.0} if rig.autopilot is Autopilot.PX4 else {"DISARM_DELAY": 100})
+    if rig.autopilot is Autopilot.ARDUPILOT:
+        flight.enter("GUIDED")
+    assert flight.arm() is Result.ACCEPTED
+    rig.to_client = ordering(rig)
+
+
+def taking_off(rig: Rig) -> None:
+    """It climbs from the ground to 10 m, for some 6 s."""
+    on_the_ground(rig)
+    assert rig.system.flight.take_off(10.0) is Result.ACCEPTED
 
 
 def order_and_leave(rig: Rig) -> None:
@@ -100,6 +135,46 @@ def stick_with_orders_waiting(rig: Rig) -> None:
     rig.to_client = way
 
 
+def receivers_failsafe(rig: Rig) -> None:
+    """The transmitter is lost and the receiver sets its failsafe sticks, which the autopilot takes for a pilot's."""
+    rig.system.flight.sticks = (0.0, 0.0, 0.0, 0.0)
+    began_t_s = rig.t_s
+
+    def way(packets: list[bytes]) -> list[bytes]:
+        rig.system.flight.sticks = (0.0, 0.0, 1.0 if rig.t_s > began_t_s + 1.0 else 0.0, 0.0)
+        return packets
+
+    rig.to_client = way
+
+
+def stick_after_the_end(rig: Rig) -> None:
+    """OBSERVE is ordered; 3 s later, in Hold or BRAKE, the pilot moves a stick."""
+    rig.operator.order(Order.OBSERVE, "key o")
+
+    def way(packets: list[bytes]) -> list[bytes]:
+        pushed = min(max(rig.t_s - rig.fault_t_s - 3.0, 0.0), 0.8)  # within 0.8 s
+        rig.system.flight.sticks = (0.0, pushed, 0.0, 0.0)
+        return packets
+
+    rig.to_client = way
+
+
+def ground_stations_stick(pushed_after_s: float) -> Callable[[Rig], None]:
+    """A ground station sends MANUAL_CONTROL, at rest and then not; only this link hears it."""
+
+    def inject(rig: Rig) -> None:
+        mav = dialect.MAVLink(None, srcSystem=255, srcComponent=190)
+
+        def way(packets: list[bytes]) -> list[bytes]:
+            roll = 700 if rig.t_s > rig.fault_t_s + pushed_after_s else 0
+            message = dialect.MAVLink_manual_control_message(1, 0, roll, 500, 0, 0)
+            return [*packets, message.pack(mav)] if packets else packets
+
+        rig.to_client = way
+
+    return inject
+
+
 def spoken(make: Callable[[Rig], dialect.MAVLink_message]) -> Callable[[Rig], Way]:
     """A way that adds a message of the vehicle's autopilot to each batch."""
 
@@ -160,6 +235,8 @@ AUTHORITY_ROWS = (
         Row(f"FOLLOW ordered in {mode}", order_in(mode), never_streams(), BY_HAND, mode == "RTL", follows=False)
         for mode in ("RTL", "LAND")
     ),
+    Row("FOLLOW ordered during the take-off", taking_off, never_streams(), GROUNDED, True, follows=False),
+    Row("FOLLOW ordered on the ground, armed", on_the_ground, never_streams(), GROUNDED, follows=False),
     Row("FOLLOW ordered, then the pilot changes the mode", order_and_leave, never_streams(), BY_HAND, follows=False),
     Row("our mode refused, then OBSERVE ordered", refuse, falls_silent(4.0, asked=1), BY_HAND, True, follows=False),
     Row(
@@ -171,8 +248,18 @@ AUTHORITY_ROWS = (
         follows=False,
     ),
     Row("FOLLOW ordered below the floor", nothing, never_streams(), {"height_m": 1.5, "end_t_s": 22.0}, follows=False),
-    Row("pilot's mode, then the switch off", pilot_and_switch, falls_silent(1.2, ("POSCTL", "LOITER")), fast=True),
-    Row("pilot's stick with orders waiting", stick_with_orders_waiting, pilot_has_it(2.4)),
+    Row("pilot's mode, then the switch off", pilot_and_switch, falls_silent(SILENT_S, ("POSCTL", "LOITER")), fast=True),
+    Row("pilot's stick with orders waiting", stick_with_orders_waiting, pilot_has_it(STICK_SEEN_S)),
+    Row(
+        "a receiver's failsafe moves a stick",
+        receivers_failsafe,
+        falls_silent(STICK_SEEN_S, ("BRAKE",), asked=1),
+        fast=True,
+        autopilots=(Autopilot.ARDUPILOT,),
+    ),
+    Row("pilot's stick in the Hold or BRAKE afterwards", stick_after_the_end, gives_sticks(0.5), fast=True),
+    Row("a ground station's stick moves", ground_stations_stick(1.0), pilot_has_it(STICK_SEEN_S), fast=True),
+    Row("a ground station's stick rests", ground_stations_stick(math.inf), goes_on(3.0)),
     Row("uplink alone lost for 5 s", uplink_lost_for(5.0), lost_link(stop(RUN_M_S, STREAM_LOSS_S)), fast=True),
     Row("battery low, the autopilot only warns", low_battery_warns, STOP, fast=True),
     Row("remote control lost, the autopilot does nothing", remote_lost, stops(stop(RUN_M_S, REMOTE_TOLD_S))),

@@ -196,6 +196,7 @@ class Program:
     process: subprocess.Popen
     lines: list[str] = field(default_factory=list)
     deaf: threading.Event = field(default_factory=threading.Event)
+    asleep: threading.Event = field(default_factory=threading.Event)  # nobody reads, and the pipe stays open
 
     def said(self, pattern: str) -> bool:
         return any(re.search(pattern, line) for line in list(self.lines))
@@ -218,13 +219,25 @@ class Program:
         file = self.process.stderr.fileno()
         rest = b""
         while not self.deaf.is_set():
-            if select.select([file], [], [], 0.05)[0]:
+            if self.asleep.is_set():
+                self.deaf.wait(0.05)
+            elif select.select([file], [], [], 0.05)[0]:
                 data = os.read(file, 65536)
                 if not data:
                     return
                 *lines, rest = (rest + data).split(b"\n")
                 self.lines += [line.decode(errors="replace").rstrip() for line in lines]
         self.process.stderr.close()
+
+    def block(self) -> None:
+        """Read no more, and fill the pipe, as a terminal that was stopped by Ctrl-S: its next line must wait."""
+        self.asleep.set()
+        time.sleep(0.2)  # the reader's last turn
+        file = os.open(f"/proc/{self.process.pid}/fd/2", os.O_WRONLY | os.O_NONBLOCK)
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                os.write(file, b" " * 512)
+        os.close(file)
 
     def stop_listening(self) -> None:
         """Close our end of the pipe: what it says now meets nobody."""
@@ -246,6 +259,7 @@ def program(call: list[str], **options) -> Iterator[Program]:
     try:
         yield running
     finally:
+        running.asleep.clear()
         if process.poll() is None:
             process.send_signal(signal.SIGCONT)
             process.kill()
