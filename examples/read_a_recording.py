@@ -10,6 +10,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import av
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -23,16 +24,33 @@ def columns(folder: Path) -> NDArray[np.void]:
 
 
 def images(folder: Path) -> Iterator[tuple[float, NDArray[np.uint8]]]:
-    """Time since the flight's start, s, and image (rows, columns, 3) in BGR, of each recorded frame."""
+    """Time since the flight's start, s, and image (rows, columns, 3) in BGR, of each recorded frame.
+
+    The frames are an H.264 stream, a packet for each, or with `--record.encoder jpeg` a JPEG for each.
+    """
+    decoder = av.CodecContext.create("h264", "r")
+    for time_s, stream, data in packets(folder):
+        if stream:
+            for frame in decoder.decode(av.Packet(data)):
+                yield time_s, frame.to_ndarray(format="bgr24")
+        else:
+            yield time_s, np.asarray(cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR), np.uint8)
+
+
+def packets(folder: Path) -> Iterator[tuple[float, bool, bytes]]:
+    """Time, whether it belongs to an H.264 stream, and the bytes of each recorded frame, in the order of time."""
     from rerun.chunk import RrdReader  # noqa: PLC0415 - the columns can be read without Rerun
 
+    found: list[tuple[float, bool, bytes]] = []
     for chunk in RrdReader(folder / "flight.rrd").stream():
         if chunk.entity_path == "/image" and not chunk.is_static:
             batch = chunk.to_record_batch()
-            times, blobs = batch.column("seconds"), batch.column("EncodedImage:blob")
-            for time, blob in zip(times, blobs, strict=True):
-                jpeg = blob.values.values.to_numpy(zero_copy_only=False).astype(np.uint8)
-                yield time.value / 1e9, np.asarray(cv2.imdecode(jpeg, cv2.IMREAD_COLOR), np.uint8)
+            stream = "VideoStream:sample" in batch.schema.names
+            blobs = batch.column("VideoStream:sample" if stream else "EncodedImage:blob")
+            for time, blob in zip(batch.column("seconds"), blobs, strict=True):
+                data = blob.values.values.to_numpy(zero_copy_only=False).astype(np.uint8)
+                found.append((time.value / 1e9, stream, data.tobytes()))
+    yield from sorted(found, key=lambda packet: packet[0])
 
 
 def main(folder: Path) -> None:

@@ -8,11 +8,12 @@ import pytest
 import racf
 
 ROOT = Path(__file__).parents[1]
-SPOKEN = {"messages", "geometry", "ranges"}  # what every room of follow speaks
+SPOKEN = {"messages", "geometry", "ranges", "disk"}  # what every room of follow speaks
 MAY_IMPORT = {
     "messages": {"geometry"},
     "geometry": set(),
     "ranges": set(),
+    "disk": {"messages"},
     "loop": {"messages", "camera", "link"},
     "config": SPOKEN | {"camera", "control", "safety", "recording"},
     "camera": SPOKEN,

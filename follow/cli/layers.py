@@ -9,6 +9,7 @@ is judged only when the real command is made.
 import contextlib
 import functools
 import io
+import itertools
 from collections.abc import Sequence
 from dataclasses import MISSING, field, fields, is_dataclass, make_dataclass, replace
 from enum import Enum
@@ -43,6 +44,8 @@ def read(words: Sequence[str], scenario: str | None = None) -> Command:
 
     Raises UsageError, SystemExit(0) after `--help`.
     """
+    if "--out=" in words or ("--out", "") in itertools.pairwise(words):
+        raise UsageError("--out must be the name of a folder, not empty")
     known = _commands(below(words, scenario))
     parsed = parse(known, words, prog=PROG, description=ABOUT, config=MARKERS)
     kind = next(kind for kind in NAMES.values() if isinstance(parsed, _open(kind)))

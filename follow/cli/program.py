@@ -8,6 +8,7 @@ from follow.cli.commands import DoctorCommand, ReplayCommand, RunCommand, SimCom
 from follow.cli.layers import read, settings_of, without_scene
 from follow.flight.finding import NotFitError
 from follow.link import LinkError
+from follow.recording.recorder import RecordingError
 from racf.commandline import guarded
 
 # Each command's parts are imported when it is run: the help does not wait for the tracker's kernels.
@@ -42,4 +43,6 @@ def execute(words: Sequence[str]) -> None:
 def main(argv: Sequence[str] | None = None) -> int:
     """The program; returns the exit status."""
     words = sys.argv[1:] if argv is None else argv
-    return guarded(lambda: execute(words), prog="follow", failures=(CameraError, LinkError, NotFitError))
+    return guarded(
+        lambda: execute(words), prog="follow", failures=(CameraError, LinkError, NotFitError, RecordingError)
+    )

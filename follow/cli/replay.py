@@ -15,11 +15,12 @@ from follow.config import Config, resolve
 from follow.control.footage import FootageTarget
 from follow.control.servo import Servo, ServoMode
 from follow.control.target import Target
-from follow.flight.session import acquire, conclude, fly, keep_flight, once
+from follow.flight.session import acquire, conclude, fly, keep_flight, kept_geometry, once
 from follow.link.replay import ReplayLink
 from follow.loop import follow
 from follow.messages import Order
 from follow.operator.terminal import Terminal
+from follow.recording.folder import claimed
 from follow.recording.recorder import Recorder
 from follow.recording.scoring import Annotations, FootageScore
 from follow.recording.summary import Figures
@@ -42,6 +43,12 @@ def replay(command: ReplayCommand) -> None:
     box = box_of(command.target) if command.target else truth.start if truth else None
     if box is None:
         raise UsageError("what is to be followed? give --target x,y,w,h or --truth FILE")
+    with claimed(command.out):
+        replay_into(command, box, truth)
+
+
+def replay_into(command: ReplayCommand, box: Box, truth: Annotations | None) -> None:
+    """Fly in the folder that is ours now, from the target's box in the first frame."""
     terminal = Terminal()
     config = command.config
     footage = open_replay(command.source, command.fps, terminal.report)
@@ -66,7 +73,11 @@ def replay(command: ReplayCommand) -> None:
         limits = replace(config.limits, disobey_after_s=NEVER_S) if command.ptz else config.limits
         tracker, safety = acquire(command.tracker, box), Safety(limits)
         keep_flight(command.out, terminal)
-        with link, Recorder(command.out, config.record, terminal.report, waits=True, about=about) as recorder:
+        kept = kept_geometry(geometry, config.camera.down_rad)
+        with (
+            link,
+            Recorder(command.out, config.record, terminal.report, waits=True, about=about, desired=kept) as recorder,
+        ):
             terminal.listeners.append(recorder.message)
             recorder.settings(as_toml(command.config, config))
             # No meter: the motion of the camera that filmed the footage is unknown, so the image contradicts nothing.
@@ -79,7 +90,7 @@ def replay(command: ReplayCommand) -> None:
                 terminal.report(f"the vehicle refused setpoints: {link.refused}")
             flown: Figures = {"tracker": command.tracker, "autopilot": command.autopilot.value}
             figures = recorder.close({**flown, **score.figures()})
-    conclude(figures, command.out, terminal, as_json=command.json, finished=finished)
+    conclude(figures, command.out, terminal, as_json=command.json, finished=finished, failure=recorder.failure)
 
 
 def windowed(footage: ReplayCamera, link: ReplayLink, target: Box, config: Config) -> WindowCamera:

@@ -23,11 +23,11 @@ from follow.cli.sim import Referee, believed_camera, scene_camera
 from follow.config import CameraConfig, Config, resolve
 from follow.control.acquire import Acquire
 from follow.control.image_motion import ImageMotionMeter
-from follow.control.servo import STEEPEST_RAD, Servo, ServoMode
+from follow.control.servo import Servo
 from follow.control.target import Target
 from follow.flight.finding import Finding
 from follow.flight.live_flight import LogForwarder, Parts, fly, preflight, unwaived
-from follow.flight.session import acquire, conclude, keep_flight
+from follow.flight.session import acquire, conclude, keep_flight, kept_geometry
 from follow.geometry import Intrinsics
 from follow.link import Link
 from follow.link.connection import MavlinkLink, connect
@@ -36,6 +36,7 @@ from follow.link.tlog import Tlog
 from follow.messages import Autopilot, Notify, Tick
 from follow.operator.authority import Keys, Operator
 from follow.operator.terminal import Terminal
+from follow.recording.folder import claimed
 from follow.recording.recorder import Recorder
 from follow.recording.summary import Figures
 from follow.safety.gate import Safety
@@ -122,7 +123,8 @@ def fly_live(command: RunCommand, bare: Any) -> None:
     name = command.camera.removeprefix(SCENE)
     scene = from_scene(name, command.config, bare) if name != command.camera else frozenset[str]()
     try:
-        fly_reported(command, terminal, scene)
+        with claimed(command.out):
+            fly_reported(command, terminal, scene)
     finally:
         terminal.flush()
 
@@ -144,17 +146,20 @@ def fly_reported(command: RunCommand, terminal: Terminal, scene: frozenset[str])
         keys = recording.enter_context(Keys())  # from now on keys are read, not echoed
         signing = Signing(command.signing_key) if command.signing_key else None
         starting = recording.enter_context(starting_log(command.out))
-        with connect(command.link, command.system_id, signing=signing, tlog=Tlog(starting)) as link:
+        tlog = Tlog(starting)
+        with connect(command.link, command.system_id, signing=signing, tlog=tlog) as link:
             flight = prepare(command, link, refusing_early(keys, terminal.report))
             keys.refuse_early(terminal.report)
-            recorder = recording.enter_context(begin_recording(command, starting, terminal, early))
+            recorder = recording.enter_context(begin_recording(command, flight.seen, starting, terminal, early))
             recorder.settings(as_toml(command.config, flight.seen.config, scene))
             fly_prepared(command, flight, link, recorder, terminal.report)
             autopilot = link.state().autopilot
         figures: Figures = {"tracker": command.tracker, "autopilot": autopilot.value if autopilot else ""}
+        if tlog.lost:
+            figures["packets_lost"] = tlog.lost
         figures = recorder.close({**figures, **flight.seen.score()})
     log.removeHandler(forwarder)
-    conclude(figures, command.out, terminal, as_json=command.json, finished=True)
+    conclude(figures, command.out, terminal, as_json=command.json, finished=True, failure=recorder.failure)
 
 
 def unused_line(command: RunCommand) -> str:
@@ -206,15 +211,8 @@ def prepare(command: RunCommand, link: MavlinkLink, report: Notify) -> PreparedF
 
 @contextlib.contextmanager
 def starting_log(out: Path) -> Generator[Path, None, None]:
-    """The file for packets until the flight starts, beside the last flight's; removed if no flight starts.
-
-    Raises OSError for a folder that cannot be written.
-    """
+    """The file for packets until the flight starts, beside the last flight's; removed if no flight starts."""
     path = out / "starting.tlog"
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OSError(f"--out {str(out)!r} must be a folder that can be written: {error.strerror}") from None
     try:
         yield path
     finally:
@@ -223,14 +221,16 @@ def starting_log(out: Path) -> Generator[Path, None, None]:
 
 @contextlib.contextmanager
 def begin_recording(
-    command: RunCommand, starting: Path, terminal: Terminal, early: Sequence[str]
+    command: RunCommand, seen: OpenCamera, starting: Path, terminal: Terminal, early: Sequence[str]
 ) -> Generator[Recorder, None, None]:
     """The recording of a flight that starts now: the last one is moved aside, and what was said is in it."""
     keep_flight(command.out, terminal)
     starting.rename(command.out / "flight.tlog")
     about = f"# follow run {command.link} {command.camera}\n\ntracker {command.tracker}"
-    record = command.config.record
-    with Recorder(command.out, record, terminal.report, waits=False, about=about, clock=time.time) as recorder:
+    record, kept = command.config.record, kept_geometry(seen.config.servo, seen.down_rad)
+    with Recorder(
+        command.out, record, terminal.report, waits=False, about=about, clock=time.time, desired=kept
+    ) as recorder:
         for line in early:
             recorder.message(line)
         terminal.listeners[:] = [recorder.message]
@@ -256,13 +256,13 @@ def fly_prepared(
 def height_line(config: Config) -> str:
     """How high the vehicle will fly above the target, and why; "" in a mode that keeps the height it has.
 
-    The target is in the middle row where height = stand-off x tan(angle below the nose).  Raises UsageError where that
-    lies outside the altitude band: the servo would fly against the gate for the whole flight.
+    Raises UsageError where that lies outside the altitude band: the servo would fly against the gate all the time.
     """
-    if config.servo.mode not in (ServoMode.CHASE, ServoMode.ORBIT, ServoMode.PROFILE):
+    down_rad, limits = config.camera.down_rad, config.limits
+    kept = kept_geometry(config.servo, down_rad)
+    standoff_m, height_m = kept.standoff_m, kept.height_m
+    if standoff_m is None or height_m is None:
         return ""
-    standoff_m, down_rad, limits = config.servo.standoff_m, config.camera.down_rad, config.limits
-    height_m = standoff_m * math.tan(min(max(down_rad, 0.0), STEEPEST_RAD))
     why = f"{standoff_m:g} m away with the camera {math.degrees(down_rad):.0f} degrees below the nose"
     if not limits.floor_m <= height_m <= limits.ceiling_m:
         raise UsageError(

@@ -14,11 +14,12 @@ from follow.config import CameraConfig, Config, resolve
 from follow.control.image_motion import ImageMotionMeter
 from follow.control.servo import Servo
 from follow.control.target import Target
-from follow.flight.session import acquire, conclude, fly, keep_live_flight, once
+from follow.flight.session import acquire, conclude, fly, keep_live_flight, kept_geometry, once
 from follow.loop import follow
 from follow.messages import Autopilot, Order, Tick
 from follow.operator.terminal import Terminal, result, table
-from follow.recording.recorder import Recorder
+from follow.recording.folder import claimed
+from follow.recording.recorder import Recorder, RecordingError
 from follow.recording.summary import Figures
 from follow.safety.gate import Safety
 from racf.box import Box
@@ -78,8 +79,23 @@ class Referee:
         return rounded(replace(scored, worst_t_s=scored.worst_t_s - self.rows[0].t_s))
 
 
-def simulate(flight: FlightSpec, terminal: Terminal, *, bar: bool) -> tuple[Figures, bool]:
-    """Fly in the simulator; the summary, and whether it was flown to its end."""
+@dataclass(frozen=True, slots=True)
+class FlownFlight:
+    """What a simulated flight came to: its summary, whether it was flown to its end, what broke in its recording."""
+
+    figures: Figures
+    finished: bool
+    failure: str
+
+
+def simulate(flight: FlightSpec, terminal: Terminal, *, bar: bool) -> FlownFlight:
+    """Fly in the simulator, into the flight's folder.  Raises OSError if another program writes there."""
+    with claimed(flight.out):
+        return simulate_into(flight, terminal, bar=bar)
+
+
+def simulate_into(flight: FlightSpec, terminal: Terminal, *, bar: bool) -> FlownFlight:
+    """Fly in the folder that is ours now."""
     scenario, config = SCENARIOS[flight.scenario], flight.config
     believed = believed_camera(scenario, flight.autopilot, config.camera)
     drawn = scene_camera(scenario, flight.autopilot, flight.drawn or config.camera)
@@ -93,7 +109,11 @@ def simulate(flight: FlightSpec, terminal: Terminal, *, bar: bool) -> tuple[Figu
     strip = Strip(scenario.duration_s)
     tracker = acquire(flight.tracker, camera.first()[1])  # what may refuse a flight comes before its recording
     keep_live_flight(flight.out, terminal)
-    with camera, Recorder(flight.out, config.record, terminal.report, waits=True, about=about) as recorder:
+    kept = kept_geometry(config.servo, down_rad)
+    with (
+        camera,
+        Recorder(flight.out, config.record, terminal.report, waits=True, about=about, desired=kept) as recorder,
+    ):
         recorder.settings(as_toml(flight.config, config, flight.scene))
 
         def true_box(tick: Tick) -> Box | None:
@@ -113,7 +133,7 @@ def simulate(flight: FlightSpec, terminal: Terminal, *, bar: bool) -> tuple[Figu
         flown: Figures = {"scenario": flight.scenario, "seed": flight.seed, "autopilot": flight.autopilot.value}
         figures = recorder.close({"tracker": flight.tracker, **scored, **flown})
     draw(flight.out / "flight.png", flight.name, referee.rows, world, drawn.intrinsics, servo.config.standoff_m, strip)
-    return figures, finished
+    return FlownFlight(figures, finished, recorder.failure)
 
 
 def scene_camera(scenario: Scenario, autopilot: Autopilot, camera: CameraConfig) -> CameraSettings:
@@ -157,8 +177,9 @@ def sim(command: SimCommand, settings_of: Callable[[str], Config], bare: Any) ->
         out = command.out or OUT / command.scenario
         flight = FlightSpec(command.scenario, command.seed, autopilot, command.tracker, command.config, out)
         flight = replace(flight, scene=from_scene(command.scenario, command.config, bare))
-        figures, finished = simulate(flight, terminal, bar=True)
-        conclude(figures, flight.out, terminal, as_json=command.json, finished=finished)
+        flown = simulate(flight, terminal, bar=True)
+        finished, failure = flown.finished, flown.failure
+        conclude(flown.figures, flight.out, terminal, as_json=command.json, finished=finished, failure=failure)
 
 
 def sim_all(command: SimCommand, configs: Mapping[str, Config], bare: Any, terminal: Terminal) -> None:
@@ -190,4 +211,7 @@ def sim_all(command: SimCommand, configs: Mapping[str, Config], bare: Any, termi
 def simulate_quietly(flight: FlightSpec) -> Figures:
     """One flight of many, in a process of its own, here or on another machine."""
     one_core()
-    return simulate(flight, Terminal(), bar=False)[0]
+    flown = simulate(flight, Terminal(), bar=False)
+    if flown.failure:
+        raise RecordingError(f"{flight.name}: {flown.failure}")
+    return flown.figures

@@ -1,13 +1,17 @@
 """What replayed, simulated and real flights have in common around the loop."""
 
+import math
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from follow.control.acquire import Acquire
+from follow.control.servo import STEEPEST_RAD, ServoConfig, ServoMode
 from follow.messages import NO_INSTRUCTION, Cause, Instruction, Notify, Order, Reason, Tick
 from follow.operator.mode_changes import ModeChanges
 from follow.operator.terminal import Terminal, result
-from follow.recording.recorder import FILES, Recorder, set_aside
+from follow.recording.folder import FILES, set_aside
+from follow.recording.recorder import Recorder, RecordingError
+from follow.recording.rows import Desired
 from follow.recording.summary import Figures
 from racf import Racf
 from racf.box import Box
@@ -46,6 +50,16 @@ def keep_live_flight(out: Path, terminal: Terminal) -> None:
         keep_flight(out, terminal)
 
 
+def kept_geometry(servo: ServoConfig, down_rad: float) -> Desired:
+    """The stand-off and the height above the target that the servo's mode keeps; the camera looks `down_rad` down.
+
+    The target is in the middle row where height = stand-off x tan(angle below the nose).
+    """
+    if servo.mode not in (ServoMode.CHASE, ServoMode.ORBIT, ServoMode.PROFILE):
+        return Desired()
+    return Desired(servo.standoff_m, servo.standoff_m * math.tan(min(max(down_rad, 0.0), STEEPEST_RAD)))
+
+
 def fly(ticks: Iterable[Tick], recorder: Recorder, report: Notify, truth: Callable[[Tick], Box | None]) -> bool:
     """Record every tick and report every change of mode until the frames end; False if a person stopped it."""
     changes, finished = ModeChanges(report), True
@@ -61,12 +75,19 @@ def fly(ticks: Iterable[Tick], recorder: Recorder, report: Notify, truth: Callab
     return finished
 
 
-def conclude(figures: Figures, out: Path, terminal: Terminal, *, as_json: bool, finished: bool) -> None:
-    """Print the figures and where the files are.  Raises KeyboardInterrupt if a person stopped the flight."""
+def conclude(
+    figures: Figures, out: Path, terminal: Terminal, *, as_json: bool, finished: bool, failure: str = ""
+) -> None:
+    """Print the figures and where the files are.
+
+    Raises KeyboardInterrupt if a person stopped the flight, RecordingError with the `failure` of the recording.
+    """
     terminal.flush()
     result(figures, as_json=as_json)
     files = [name for name in FILES if (out / name).exists()]
     look = f"; open it with: follow inspect {out}" if "flight.rrd" in files else ""
     terminal.report(f"recorded in {out}: {', '.join(files)}{look}")
+    if failure:
+        raise RecordingError(failure)
     if not finished:
         raise KeyboardInterrupt

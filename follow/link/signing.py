@@ -6,22 +6,24 @@ last one, so the timestamp must survive a restart and a clock that was set back.
 """
 
 import logging
-import os
 import stat
 import time
 from pathlib import Path
 
 from pymavlink.dialects.v20 import common as dialect
 
+from follow.disk import BackgroundTask, replace_file
+
 log = logging.getLogger(__name__)
 
 KEY_BYTES = 32
 EPOCH_S = 1_420_070_400  # 2015-01-01 00:00 UTC in Unix time
 UNITS_PER_S = 100_000  # of 10 us
-# The stored timestamp is ahead of the clock by SAVE_EVERY, or of the last packet by SAVE_PACKETS units, so that it does
-# not repeat after a crash.  A vehicle takes packets more than a minute off for a replay.
-SAVE_EVERY = 10 * UNITS_PER_S
-SAVE_PACKETS = 10_000
+# The stored timestamp is ahead of the clock by up to SAVE_AHEAD, or of the last packet by SAVE_PACKETS units, so that
+# it does not repeat after a crash.  A vehicle takes packets more than a minute off for a replay.  It is stored again
+# when half of that is used up: a disk may stall for the other half.
+SAVE_AHEAD = 20 * UNITS_PER_S
+SAVE_PACKETS = 20_000
 
 
 class Signing:
@@ -35,7 +37,8 @@ class Signing:
         self.key = read_key(path)
         self._time_path = path.with_name(path.name + ".time")
         self._floor = _read_time(self._time_path)
-        self._saved = self._floor
+        self._saved = self._to_save = self._floor
+        self._saver = BackgroundTask(self._save, "signing time")
         _write_time(self._time_path, self._floor)
 
     def install(self, mav: dialect.MAVLink) -> None:
@@ -45,18 +48,29 @@ class Signing:
         mav.signing.allow_unsigned_callback = lambda _mav, _id: (
             False
         )  # without a callback, refused packets are not counted
-        self.stamp(mav)
+        self._stamp(mav)
+        self._save()  # before the first packet; from now on in a thread
 
     def stamp(self, mav: dialect.MAVLink) -> None:
-        """Move the next packet's timestamp forward to now, never back, and store it on disk every SAVE_EVERY."""
+        """Move the next packet's timestamp forward to now, never back; a thread stores one that lies ahead of it."""
+        now, timestamp = self._stamp(mav)
+        if max(now + SAVE_AHEAD // 2, timestamp + SAVE_PACKETS // 2) >= self._saved:
+            self._saver.start()
+
+    def _stamp(self, mav: dialect.MAVLink) -> tuple[int, int]:
+        """Now, and the next packet's timestamp."""
         now = int((time.time() - EPOCH_S) * UNITS_PER_S)
         mav.signing.timestamp = max(mav.signing.timestamp, now, self._floor)
-        if mav.signing.timestamp >= self._saved:
-            self._saved = max(now + SAVE_EVERY, mav.signing.timestamp + SAVE_PACKETS)
-            try:
-                _write_time(self._time_path, self._saved)
-            except OSError as error:  # a full disk must not end a flight
-                log.warning("the signing timestamp cannot be stored in %s: %s", self._time_path, error)
+        self._to_save = max(now + SAVE_AHEAD, mav.signing.timestamp + SAVE_PACKETS)
+        return now, mav.signing.timestamp
+
+    def _save(self) -> None:
+        value = self._to_save
+        try:
+            _write_time(self._time_path, value)
+        except OSError as error:  # a full disk must not end a flight
+            log.warning("the signing timestamp cannot be stored in %s: %s", self._time_path, error)
+        self._saved = value
 
 
 def read_key(path: Path) -> bytes:
@@ -88,7 +102,4 @@ def _read_time(path: Path) -> int:
 
 
 def _write_time(path: Path, value: int) -> None:
-    """Replace the stored timestamp atomically: a power cut leaves the old or the new one."""
-    beside = path.with_name(path.name + ".new")
-    beside.write_text(f"{value}\n")
-    os.replace(beside, path)
+    replace_file(path, f"{value}\n")

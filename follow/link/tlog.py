@@ -7,33 +7,27 @@ import logging
 import struct
 from pathlib import Path
 
+from follow.disk import CLOSE_S, BackgroundFile
+
 log = logging.getLogger(__name__)
 
 
 class Tlog:
-    """Appends packets to a file.  A full disk ends the log, not the flight."""
+    """Appends packets to a file, in a thread of its own.  A full or stalled disk costs packets of the log only."""
 
     def __init__(self, path: Path):
         self.path = path
-        self._file = path.open("wb")
-        self._ended = False
+        self._file = BackgroundFile(path, log.warning)
+
+    @property
+    def lost(self) -> int:
+        """Number of packets that are not in the file."""
+        return self._file.lost
 
     def write(self, packet: bytes, unix_s: float) -> None:
-        """Append one packet with the time `unix_s`."""
-        if self._ended:
-            return
-        try:
-            self._file.write(struct.pack(">Q", round(unix_s * 1e6)) + packet)
-        except OSError as error:
-            self._end(error)
+        """Append one packet with the time `unix_s`; never waits for the disk."""
+        self._file.write(struct.pack(">Q", round(unix_s * 1e6)) + packet)
 
-    def close(self) -> None:
-        """Flush and close the file."""
-        try:
-            self._file.close()
-        except OSError as error:
-            self._end(error)
-
-    def _end(self, error: OSError) -> None:
-        self._ended = True
-        log.warning("%s ends here: %s", self.path, error)
+    def close(self, timeout_s: float = CLOSE_S) -> None:
+        """Write what is waiting and close the file."""
+        self._file.close(timeout_s)

@@ -1,81 +1,124 @@
-"""Ticks as Rerun shows them: entities, one timeline (`seconds`, from the first tick) and the layout shown first."""
+"""Ticks as Rerun shows them: entities on one timeline (`seconds`, from the flight's first tick).
+
+Curves are gathered and written in columns: a row of its own for each number would cost a hundred bytes and 50 us.
+"""
 
 # Rerun's own check of the Python version hides its names from a type checker that is set to Python 3.10.
 # pyright: reportAttributeAccessIssue=false
 
+import math
 import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import cv2
 import numpy as np
 import rerun as rr
-import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from follow.messages import NEVER, Mode, Setpoint, Tick
-from follow.recording.rows import LoggedTick
+from follow.recording.layout import BLUE, GREEN, GREY, MODE_COLOURS, RED, YELLOW, describe, layout
+from follow.recording.rows import Desired, LoggedTick
+from follow.recording.video_encoder import Encoder, FrameEncoder, H264Encoder, Sample, encoder
 from racf.box import Box
 from racf.track import Track
 
-FLUSH_TIMEOUT_S = 5.0  # a disk that takes longer counts as broken
-
-GREEN, RED, YELLOW, GREY, BLUE = (80, 220, 100), (240, 70, 60), (250, 210, 60), (150, 150, 150), (90, 160, 255)
-ORANGE, PALE = (255, 150, 50), (110, 130, 150)
-DESIRED = [(150, 200, 255), (255, 205, 150), (190, 230, 190)]  # pale: the servo's; forward, right, down
-SENT = [(40, 110, 230), (230, 120, 20), (30, 150, 60)]  # saturated: what was sent
-MODE_COLOURS = {
-    Mode.OBSERVE: PALE,  # pale, blue and grey: nothing is sent
-    Mode.READY: BLUE,
-    Mode.ENGAGE: YELLOW,  # yellow and orange: flying without the target in view, or not yet in control
-    Mode.FOLLOW: GREEN,
-    Mode.COAST: YELLOW,
-    Mode.SEARCH: ORANGE,
-    Mode.HOLD: ORANGE,
-    Mode.BRAKE: RED,
-    Mode.ENDED: GREY,
-}
+APPLICATION = "follow-me"
+FLUSH_TIMEOUT_S = 60.0  # a disk that takes longer counts as broken
+RESPONSE_QUALITY = 80  # of JPEG: a smooth image
+RESPONSE_EVERY_S = 0.2  # response and mask change little from frame to frame
+MODE_LINE = re.compile(r"\d+\.\d s: (\w+)")  # how a change of mode is reported
 TIMED = re.compile(r"\d+\.\d s: ")  # a message that states the time of the flight itself
-SEARCH, TRUTH, TARGET = 30.0, 31.0, 32.0  # draw order: a later box covers an earlier one
+DRAW_ORDER = {"image/search": 30.0, "image/truth": 31.0, "image/target": 32.0}
+"""A later box covers an earlier one."""
+
+Colour = tuple[int, int, int]
+
 NUMBER = re.compile(r"-?\d+(\.\d+)?")
 
 
-class RerunRecording:
-    """A Rerun recording in a file; use it from one thread.
+@dataclass(frozen=True, slots=True)
+class Pace:
+    """How often what is written: seconds between two frames at least, two batches of curves, and two flushes."""
 
-    The mode is a lane; why it changed is in the messages.  `flush` and `close` raise OSError if it cannot be written.
+    frame_s: float = 0.0
+    curves_s: float = 4.0  # a batch of each curve costs 1.5 kB; ticks.csv has each row within a second
+    flush_s: float = 2.0  # of images: a kill loses the last ones
+
+
+class RerunRecording:
+    """A Rerun recording; use it from one thread.
+
+    `connect` gives it somewhere to go: a file, a viewer.  The mode is a lane; why it changed is in the messages.
+    `flush` and `close` raise OSError if it cannot be written.
     """
 
-    def __init__(self, path: Path, about: str, jpeg_quality: int) -> None:
-        self._path = path
-        self._jpeg = [int(cv2.IMWRITE_JPEG_QUALITY), jpeg_quality]
-        self._recording = rr.RecordingStream("follow-me")
-        self._recording.save(path, default_blueprint=layout())
-        self._mode = ""
-        self._found: bool | None = None
+    def __init__(
+        self,
+        connect: Callable[[rr.RecordingStream], object],
+        name: str,
+        frames: FrameEncoder,
+        about: str = "",
+        desired: Desired | None = None,
+        pace: Pace | None = None,
+    ) -> None:
+        self._name, self._frames, self._pace = name, frames, pace or Pace()
+        self._desired = desired or Desired()
+        batches = rr.ChunkBatcherConfig(flush_tick=self._pace.flush_s, flush_num_bytes=1_000_000)
+        self._recording = rr.RecordingStream(APPLICATION, batcher_config=batches)
+        self._recording.set_log_time_enabled(False)  # 8 bytes each for every row, and nothing that `seconds` lacks
+        self._recording.set_log_tick_enabled(False)
+        connect(self._recording)
+        self._states: dict[str, str] = {}
         self._notes: frozenset[str] = frozenset()
         self._shown: set[str] = set()
-        self._describe(about)
+        self._curves: dict[str, tuple[list[float], list[float]]] = {}
+        self._boxes: dict[str, list[tuple[float, Box | None, Colour, str]]] = {}
+        self._stages: list[str] = []
+        self._frame_t_s = self._response_t_s = self._curves_t_s = self._flush_t_s = NEVER
+        if isinstance(frames, H264Encoder):
+            self._recording.log("image", rr.VideoStream(codec=rr.VideoCodec.H264), static=True)
+        for path, order in DRAW_ORDER.items():
+            fixed = rr.Boxes2D.from_fields(radii=[-1.0], draw_order=order, show_labels=path == "image/target")
+            self._recording.log(path, fixed, static=True)
+        describe(self._recording, about)
 
     def tick(self, scene: LoggedTick) -> None:
-        """Log one round."""
+        """Log one round without its images."""
         tick = scene.tick
         self._recording.set_time("seconds", duration=scene.t_s)
-        if tick.frame is not None:
-            good, jpeg = cv2.imencode(".jpg", tick.frame.image, self._jpeg)
-            if good:
-                self._recording.log("image", rr.EncodedImage(contents=jpeg.tobytes(), media_type="image/jpeg"))
         if tick.track is not None:
-            self._track(tick.track)
-        self._box("image/truth", scene.truth, YELLOW, None, TRUTH)
-        self._controls(tick)
-        self._new_mode(scene)
+            self._track(tick.track, scene.t_s)
+        self._box("image/truth", scene.t_s, scene.truth, YELLOW)
+        self._controls(tick, scene.t_s)
+        self._lanes(scene)
         self._new_notes(scene)
+        if scene.t_s - self._curves_t_s >= self._pace.curves_s:
+            self._send_curves()
+            self._curves_t_s = scene.t_s
+        if scene.t_s - self._flush_t_s >= self._pace.flush_s:
+            self.flush()
+            self._flush_t_s = scene.t_s
+
+    def images(self, scene: LoggedTick) -> None:
+        """Log a round's frame, and at a lower rate the response and the mask.  Raises OSError from the encoder."""
+        tick = scene.tick
+        if tick.frame is not None and tick.frame.image.size and scene.t_s - self._frame_t_s >= self._pace.frame_s:
+            self._frame_t_s = scene.t_s
+            box = tick.track.box if tick.track is not None else None
+            self._samples(self._frames.encode(tick.frame.image, scene.t_s, box))
+        if tick.track is not None and scene.t_s - self._response_t_s >= RESPONSE_EVERY_S:
+            self._response_t_s = scene.t_s
+            self._recording.set_time("seconds", duration=scene.t_s)
+            self._response(tick.track)
 
     def message(self, t_s: float, text: str) -> None:
-        """Log one line for a person at a time of the flight."""
+        """Log one line for a person at a time of the flight; a change of mode in the mode's colour."""
         self._recording.set_time("seconds", duration=t_s)
-        self._say(t_s, text, rr.TextLogLevel.INFO)
+        mode = MODE_LINE.match(text)
+        colour = next((c for m, c in MODE_COLOURS.items() if mode and m.value == mode[1]), None)
+        self._say(t_s, text, rr.TextLogLevel.INFO, colour)
 
     def settings(self, toml: str) -> None:
         """Log the flight's settings."""
@@ -83,163 +126,149 @@ class RerunRecording:
         self._recording.log("settings", text, static=True)
 
     def flush(self) -> None:
-        """Wait until everything logged so far is in the file."""
+        """Wait until everything logged so far is where it goes."""
         try:
             self._recording.flush(timeout_sec=FLUSH_TIMEOUT_S)
         except RuntimeError as error:  # Rerun writes the cause to its own log only
-            raise OSError(f"{self._path} is no longer written: {error}; the flight goes on") from None
+            raise OSError(f"{self._name} is no longer written: {error}; the flight goes on") from None
 
     def close(self) -> None:
         """Write the rest and the file's index, then close the file."""
         try:
+            self._samples(self._frames.finish())
+            self._send_curves()
             self.flush()
         finally:
             self._recording.disconnect()
 
-    def _new_mode(self, scene: LoggedTick) -> None:
-        """Log a new mode."""
-        mode = scene.tick.decision.mode.value
-        if mode != self._mode:
-            self._recording.log("mode", rr.StateChange(state=mode))
-        self._mode = mode
+    def _samples(self, samples: Iterable[Sample]) -> None:
+        for sample in samples:
+            self._recording.set_time("seconds", duration=sample.t_s)
+            if isinstance(self._frames, H264Encoder):
+                shown = rr.VideoStream.from_fields(sample=sample.data, is_keyframe=sample.is_key)
+            else:
+                shown = rr.EncodedImage(contents=sample.data, media_type="image/jpeg")
+            self._recording.log("image", shown)
+
+    def _lanes(self, scene: LoggedTick) -> None:
+        """Log what changed of the mode, its reason, and what the gate held back."""
+        decision = scene.tick.decision
+        held = ", ".join(note.removeprefix("held by ") for note in decision.notes if note.startswith("held by "))
+        self._state("mode", decision.mode.value)
+        self._state("why", NUMBER.sub("…", str(decision.reason)))
+        self._state("held_by", held or "nothing")
+
+    def _state(self, path: str, state: str) -> None:
+        if self._states.get(path) != state:
+            self._states[path] = state
+            self._recording.log(path, rr.StateChange(state=state))
 
     def _new_notes(self, scene: LoggedTick) -> None:
-        """Log the gate's notes that the tick before did not have; a number that changes does not make a note new."""
-        notes = {NUMBER.sub("#", note): note for note in scene.tick.decision.notes}
+        """Log the gate's notes that the tick before did not have, and that are not the mode's reason.
+
+        A number that changes does not make a note new.
+        """
+        decision = scene.tick.decision
+        reason = NUMBER.sub("#", str(decision.reason))
+        notes = {NUMBER.sub("#", note): note for note in decision.notes}
         for kind, note in notes.items():
-            if kind not in self._notes:
-                self._say(scene.t_s, note, rr.TextLogLevel.WARN)
+            if kind not in self._notes and kind not in reason:
+                self._say(scene.t_s, note, rr.TextLogLevel.WARN, RED if decision.mode is Mode.BRAKE else YELLOW)
         self._notes = frozenset(notes)
 
-    def _say(self, t_s: float, text: str, level: str) -> None:
+    def _say(self, t_s: float, text: str, level: str, colour: Colour | None = None) -> None:
         line = text if TIMED.match(text) else f"{t_s:.1f} s: {text}"
-        self._recording.log("messages", rr.TextLog(line, level=level))
+        self._recording.log("messages", rr.TextLog(line, level=level, color=colour))
 
-    def _track(self, track: Track) -> None:
-        log = self._recording.log
+    def _track(self, track: Track, t_s: float) -> None:
         colour = GREEN if track.found else RED
-        self._box("image/target", track.box, colour, f"{track.confidence:.2f}" if track.found else "lost", TARGET)
-        self._box("image/search", track.search, GREY, None, SEARCH)
-        log("track/confidence", rr.Scalars(track.confidence))
-        log("track/refined", rr.Scalars(float(track.refined)))
-        log("track/sharpness", rr.Scalars([track.psr, track.apce]))
-        if track.found is not self._found:
-            self._found = track.found
-            log("tracker", rr.StateChange(state="found" if track.found else "lost"))
+        self._box("image/target", t_s, track.box, colour, f"{track.confidence:.2f}" if track.found else "lost")
+        self._box("image/search", t_s, track.search, GREY)
+        self._curve("track/confidence", t_s, track.confidence)
+        self._curve("track/sharpness", t_s, track.psr, track.apce)
+        self._state("tracker", "found" if track.found else "lost")
+
+    def _response(self, track: Track) -> None:
+        log = self._recording.log
         if track.response is not None:
             peak = max(float(track.response.max()), 1e-6)  # normalised for display; the peak's height is in PSR
             heat = np.clip(track.response * (255 / peak), 0, 255).astype(np.uint8)
-            log("response", rr.DepthImage(heat, meter=255.0, colormap="viridis", depth_range=[0.0, 255.0]))
+            shown = np.asarray(cv2.applyColorMap(heat, cv2.COLORMAP_VIRIDIS), np.uint8)
+            good, jpeg = cv2.imencode(".jpg", shown, [int(cv2.IMWRITE_JPEG_QUALITY), RESPONSE_QUALITY])
+            if good:
+                log("response", rr.EncodedImage(contents=jpeg.tobytes(), media_type="image/jpeg"))
         if track.mask is not None and track.mask_box is not None:
-            log("mask", rr.SegmentationImage(track.mask))
-            outline = rr.LineStrips2D(outlines(track.mask, track.mask_box), colors=[BLUE], radii=[-1.0])
+            outline = rr.LineStrips2D(outlines(track.mask, track.mask_box), colors=[BLUE], radii=[-1.5])
             log("image/mask", outline)
             self._shown.add("mask")
         elif "mask" in self._shown:
             self._shown.remove("mask")
-            log("mask", rr.Clear(recursive=False))
             log("image/mask", rr.Clear(recursive=False))
-        for stage, ms in track.stage_ms.items():
-            log(["timings", "tracker", stage], rr.Scalars(ms))
 
-    def _controls(self, tick: Tick) -> None:
-        log = self._recording.log
-        log("desired/velocity", rr.Scalars(_velocity(tick.desired)))
-        log("desired/yaw_rate", rr.Scalars(np.degrees(tick.desired.yaw_rate_rad_s)))
+    def _controls(self, tick: Tick, t_s: float) -> None:
+        self._curve("desired/velocity", t_s, *_velocity(tick.desired))
+        self._curve("desired/yaw_rate", t_s, math.degrees(tick.desired.yaw_rate_rad_s))
         if (sent := tick.decision.setpoint) is not None:
-            log("setpoint/velocity", rr.Scalars(_velocity(sent)))
-            log("setpoint/yaw_rate", rr.Scalars(np.degrees(sent.yaw_rate_rad_s)))
-        log("vehicle/height", rr.Scalars(-tick.state.down_m))
-        if tick.estimate.seen_t_s > NEVER:
-            log("target/range", rr.Scalars(tick.estimate.range_m))
-        for stage, ms in tick.stage_ms.items():
-            log(["timings", stage], rr.Scalars(ms))
+            self._curve("setpoint/velocity", t_s, *_velocity(sent))
+            self._curve("setpoint/yaw_rate", t_s, math.degrees(sent.yaw_rate_rad_s))
+        estimate = tick.estimate
+        if estimate.seen_t_s > NEVER:
+            nearest, wanted = estimate.range_near_m, self._desired
+            self._curve("range", t_s, estimate.range_m, shown(nearest), shown(wanted.standoff_m))
+            self._curve("height", t_s, estimate.range_m * math.tan(estimate.depression_rad), shown(wanted.height_m))
+        if tick.track is not None:
+            self._timings(t_s, {**tick.stage_ms, **{f"tracker: {k}": v for k, v in tick.track.stage_ms.items()}})
 
-    def _box(self, path: str, box: Box | None, colour: tuple[int, int, int], label: str | None, order: float) -> None:
+    def _curve(self, path: str, t_s: float, *values: float) -> None:
+        times, numbers = self._curves.setdefault(path, ([], []))
+        times.append(t_s)
+        numbers.extend(values)
+
+    def _timings(self, t_s: float, stage_ms: Mapping[str, float]) -> None:
+        """One entity for all stages: each has a number of its own, NaN where it did not run."""
+        if new := [name for name in stage_ms if name not in self._stages]:
+            self._send_curves()
+            self._stages += new
+            self._recording.log("timings", rr.SeriesLines(names=self._stages), static=True)
+        self._curve("timings", t_s, *(stage_ms.get(name, math.nan) for name in self._stages))
+
+    def _send_curves(self) -> None:
+        """Log the curves gathered so far; the number of values of each time is the same along a curve."""
+        for path, (times, numbers) in self._curves.items():
+            width = len(numbers) // len(times)
+            columns = rr.Scalars.columns(scalars=numbers).partition([width] * len(times))
+            self._recording.send_columns(path, [rr.TimeColumn("seconds", duration=times)], columns)
+        self._curves.clear()
+        for path, rows in self._boxes.items():
+            shown = [(box, colour, label) for _, box, colour, label in rows if box is not None]
+            columns = rr.Boxes2D.columns(
+                centers=[(box.centre_x, box.centre_y) for box, _, _ in shown],
+                half_sizes=[(box.w / 2, box.h / 2) for box, _, _ in shown],
+                colors=[colour for _, colour, _ in shown],
+                labels=[label for _, _, label in shown],
+            ).partition([0 if box is None else 1 for _, box, _, _ in rows])
+            self._recording.send_columns(path, [rr.TimeColumn("seconds", duration=[row[0] for row in rows])], columns)
+        self._boxes.clear()
+
+    def _box(self, path: str, t_s: float, box: Box | None, colour: Colour, label: str = "") -> None:
+        if box is not None or path in self._shown:
+            self._boxes.setdefault(path, []).append((t_s, box, colour, label))
         if box is None:
-            if path in self._shown:
-                self._shown.remove(path)
-                self._recording.log(path, rr.Clear(recursive=False))
-            return
-        self._shown.add(path)
-        labels = None if label is None else [label]
-        shape = rr.Boxes2D(
-            mins=[(box.x, box.y)],
-            sizes=[(box.w, box.h)],
-            colors=[colour],
-            labels=labels,
-            show_labels=labels is not None,
-            radii=[-1.0],
-            draw_order=order,
-        )
-        self._recording.log(path, shape)
-
-    def _describe(self, about: str) -> None:
-        """Log what never changes: names and colours of curves and states, the mask's classes, the flight in words."""
-
-        def say(path: str, what: rr.AsComponents) -> None:
-            self._recording.log(path, what, static=True)
-
-        say("about", rr.TextDocument(about, media_type=rr.MediaType.MARKDOWN))
-        say("mask", rr.AnnotationContext([(0, "ground", (0, 0, 0)), (1, "target", BLUE)]))
-        say("mode", rr.StateConfiguration(values=[m.value for m in MODE_COLOURS], colors=list(MODE_COLOURS.values())))
-        say("tracker", rr.StateConfiguration(values=["found", "lost"], colors=[GREEN, RED]))
-        say("track/confidence", rr.SeriesLines(names=["confidence"], colors=[GREEN]))
-        say("track/refined", rr.SeriesLines(names=["refined"], colors=[BLUE]))
-        say("vehicle/height", rr.SeriesLines(names=["height above the start"], colors=[BLUE]))
-        say("target/range", rr.SeriesLines(names=["range along the ground"], colors=[ORANGE]))
-        say("track/sharpness", rr.SeriesLines(names=["PSR", "APCE"], colors=[GREEN, YELLOW]))
-        axes = ("forward", "right", "down")
-        say("desired/velocity", rr.SeriesLines(names=[f"desired {a}" for a in axes], colors=DESIRED))
-        say("setpoint/velocity", rr.SeriesLines(names=[f"sent {a}" for a in axes], colors=SENT))
-        say("desired/yaw_rate", rr.SeriesLines(names=["desired"], colors=[DESIRED[0]]))
-        say("setpoint/yaw_rate", rr.SeriesLines(names=["sent"], colors=[SENT[0]]))
+            self._shown.discard(path)
+        else:
+            self._shown.add(path)
 
 
-def layout(play_state: Literal["paused", "playing", "following"] = "paused") -> rrb.Blueprint:
-    """Image, modes and messages on the left; range, confidence and commands over time on the right."""
-    left = rrb.Vertical(
-        rrb.Spatial2DView(
-            origin="/image", name="Camera: target (green found, red lost), truth (yellow), search region (grey)"
-        ),
-        rrb.StateTimelineView(origin="/", contents=["/mode", "/tracker"], name="Mode of the gate, target in view"),
-        rrb.Tabs(
-            rrb.TextLogView(origin="/messages", name="Messages"),
-            rrb.TextDocumentView(origin="/about", name="About this flight"),
-            rrb.TextDocumentView(origin="/settings", name="Settings"),
-        ),
-        row_shares=[6, 1.5, 2],
-    )
-    right = rrb.Vertical(
-        rrb.TimeSeriesView(
-            origin="/", contents=["/vehicle/height", "/target/range"], name="Height, range to the target, m"
-        ),
-        rrb.TimeSeriesView(
-            origin="/track/confidence", name="Confidence", axis_y=rrb.ScalarAxis(range=(0.0, 1.0), zoom_lock=True)
-        ),
-        rrb.TimeSeriesView(
-            origin="/", contents=["/desired/velocity", "/setpoint/velocity"], name="Velocity: desired and setpoint, m/s"
-        ),
-        rrb.TimeSeriesView(
-            origin="/",
-            contents=["/desired/yaw_rate", "/setpoint/yaw_rate"],
-            name="Yaw rate: desired and setpoint, degrees/s",
-        ),
-        rrb.Tabs(
-            rrb.Spatial2DView(origin="/response", name="Response of the filter"),
-            rrb.TimeSeriesView(origin="/track/sharpness", name="Sharpness: PSR, APCE"),
-            rrb.Spatial2DView(origin="/mask", name="GrabCut mask"),
-            rrb.TimeSeriesView(origin="/track/refined", name="Box refined by GrabCut, 0 or 1"),
-            rrb.TimeSeriesView(origin="/timings", name="Time of each stage, ms"),
-        ),
-        row_shares=[1, 1, 1, 1, 1.5],
-    )
-    return rrb.Blueprint(
-        rrb.Horizontal(left, right, column_shares=[3, 2]),
-        rrb.TimePanel(state="collapsed", timeline="seconds", play_state=play_state),
-        rrb.BlueprintPanel(state="hidden"),
-        rrb.SelectionPanel(state="hidden"),
-    )
+def to_file(path: Path, about: str, kind: Encoder, jpeg_quality: int, desired: Desired | None = None) -> RerunRecording:
+    """A recording in a file.  Raises OSError if it cannot be opened."""
+
+    def connect(recording: rr.RecordingStream) -> None:
+        try:
+            recording.save(path, default_blueprint=layout())
+        except RuntimeError as error:
+            raise OSError(f"{path} cannot be written: {error}") from None
+
+    return RerunRecording(connect, str(path), encoder(kind, jpeg_quality), about, desired)
 
 
 def outlines(mask: NDArray[np.uint8], box: Box) -> list[NDArray[np.floating]]:
@@ -248,6 +277,11 @@ def outlines(mask: NDArray[np.uint8], box: Box) -> list[NDArray[np.floating]]:
     pixel = np.array([box.w / mask.shape[1], box.h / mask.shape[0]])
     corner = np.array([box.x, box.y])
     return [corner + (np.concatenate([line, line[:1]]).reshape(-1, 2) + 0.5) * pixel for line in found]
+
+
+def shown(value: float | None) -> float:
+    """A value as a curve has it: NaN, which leaves a gap, for one that is not known."""
+    return math.nan if value is None or math.isinf(value) else value
 
 
 def _velocity(setpoint: Setpoint) -> list[float]:

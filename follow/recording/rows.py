@@ -47,6 +47,14 @@ class LoggedTick:
     truth: Box | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class Desired:
+    """What the flight should keep, for the curves: stand-off and height above the target, m; None: neither."""
+
+    standoff_m: float | None = None
+    height_m: float | None = None
+
+
 def header() -> str:
     """The first line."""
     return ",".join(COLUMNS) + "\n"

@@ -50,6 +50,8 @@ class Figures(TypedDict, total=False):
     nearest_other_m: float
     violations: dict[str, int]
     recording_dropped: int
+    rows_lost: int
+    packets_lost: int
 
 
 class Summary:

@@ -21,7 +21,7 @@ from follow.control.servo import ServoConfig, ServoMode
 from follow.link import connection
 from follow.messages import Autopilot
 from follow.operator.terminal import listed, result
-from follow.recording.recorder import FILES
+from follow.recording.folder import FILES
 from follow.safety.limits import Limits
 from sim.clip import clip, write
 from sim.scenarios import SCENARIOS

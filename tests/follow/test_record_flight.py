@@ -2,6 +2,8 @@
 
 import csv
 import json
+import os
+import signal
 import subprocess
 import sys
 import threading
@@ -12,9 +14,11 @@ import numpy as np
 import pytest
 
 from follow.messages import NEVER, Cause, Decision, Estimate, Frame, Mode, Reason, Setpoint, Tick, VehicleState
-from follow.recording.recorder import RecordConfig, Recorder, set_aside
+from follow.recording.folder import claimed, set_aside
+from follow.recording.recorder import RecordConfig, Recorder
 from follow.recording.rows import COLUMNS, row
 from follow.recording.summary import Summary
+from follow.recording.video_encoder import Encoder
 from racf.box import Box
 from racf.track import Track
 
@@ -113,9 +117,9 @@ def test_a_note_is_logged_once_however_its_number_changes(monkeypatch):
 
     said: list[str] = []
     monkeypatch.setattr(
-        rerun_log.RerunRecording, "_say", lambda _self, t_s, text, _level: said.append(f"{t_s:g} {text}")
+        rerun_log.RerunRecording, "_say", lambda _self, t_s, text, *_more: said.append(f"{t_s:g} {text}")
     )
-    recording = rerun_log.RerunRecording(Path("/dev/null"), "", 75)
+    recording = rerun_log.to_file(Path("/dev/null"), "", Encoder.JPEG, 75)
     notes = [(), *[(f"frame is {0.2 + n / 100:.2f} s old",) for n in range(150)], (), ("frame is 0.50 s old", "fence")]
     for n, lines in enumerate(notes):
         decision = Decision(None, Mode.BRAKE, lines, Reason(Cause.STALE, "frame is old"))
@@ -124,8 +128,21 @@ def test_a_note_is_logged_once_however_its_number_changes(monkeypatch):
     assert said == ["1 frame is 0.20 s old", "152 frame is 0.50 s old", "152 fence"]
 
 
+def test_a_note_that_is_the_reason_for_the_mode_is_not_said_twice(monkeypatch):
+    from follow.recording import rerun_log  # noqa: PLC0415
+
+    said: list[str] = []
+    monkeypatch.setattr(rerun_log.RerunRecording, "_say", lambda _self, _t_s, text, *_more: said.append(text))
+    recording = rerun_log.to_file(Path("/dev/null"), "", Encoder.JPEG, 75)
+    reason = Reason(Cause.STALE, "frame is 0.20 s old")
+    decision = Decision(None, Mode.BRAKE, ("frame is 0.31 s old", "held by fence"), reason)
+    recording.tick(rerun_log.LoggedTick(0, 0.0, replace(tick(0), decision=decision)))
+    recording.close()
+    assert said == ["held by fence"]
+
+
 def test_every_mode_has_a_colour_of_its_meaning():
-    from follow.recording.rerun_log import GREEN, GREY, MODE_COLOURS, RED  # noqa: PLC0415
+    from follow.recording.layout import GREEN, GREY, MODE_COLOURS, RED  # noqa: PLC0415
 
     assert set(MODE_COLOURS) == set(Mode)
     assert [MODE_COLOURS[m] for m in (Mode.FOLLOW, Mode.BRAKE, Mode.ENDED)] == [GREEN, RED, GREY]
@@ -163,10 +180,9 @@ def test_rerun_verifies_the_recording(tmp_path):
         "/image/truth",
         "/image/mask",
         "/response",
-        "/mask",
     )
     entities += ("/track/confidence", "/desired/velocity", "/setpoint/velocity", "/mode", "/messages", "/settings")
-    entities += ("/timings/tracker",)
+    entities += ("/timings",)
     for entity in entities:
         assert f"{entity} " in shown or f"{entity}\n" in shown or f"{entity}'" in shown, entity
 
@@ -175,7 +191,7 @@ def test_a_slow_writer_costs_images_and_no_row(tmp_path, monkeypatch):
     from follow.recording import rerun_log as explain  # noqa: PLC0415 - Rerun only where it is needed
 
     gate = threading.Event()
-    monkeypatch.setattr(explain.RerunRecording, "tick", lambda _self, _scene: gate.wait(30))
+    monkeypatch.setattr(explain.RerunRecording, "images", lambda _self, _scene: gate.wait(30))
     recorder = Recorder(tmp_path, RecordConfig(queue=4), silent, waits=False)
     for n in range(50):
         recorder.tick(tick(n))
@@ -220,8 +236,75 @@ def test_a_recording_that_cannot_be_written_is_one_line_and_the_rows_are_whole(t
 
 def test_a_folder_that_cannot_be_made_is_refused_before_the_flight(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(OSError, match="file"):
-        Recorder(tmp_path / "file" / "out", RecordConfig(), silent, waits=True)
+    with pytest.raises(OSError, match="file"), claimed(tmp_path / "file" / "out"):
+        pass
+
+
+def test_a_second_program_in_a_folder_is_refused_until_the_first_ends(tmp_path):
+    with claimed(tmp_path / "out"):
+        hold = "import sys, pathlib, follow.recording.folder as f\nwith f.claimed(pathlib.Path(sys.argv[1])): pass"
+        second = subprocess.run(
+            [sys.executable, "-c", hold, tmp_path / "out"], check=False, capture_output=True, text=True
+        )
+        assert second.returncode == 1
+        assert "is being written by another process: give another folder" in second.stderr
+        with pytest.raises(OSError, match="is being written"), claimed(tmp_path / "out"):
+            pass
+    with claimed(tmp_path / "out"):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("name", "rule"),
+    [("~nobody/flights", "did not expand"), (b"caf\xe9", "must be UTF-8"), ("a" * 300, "too long"), ("f/g", "Not a")],
+)
+def test_a_folder_with_a_bad_name_is_refused_in_one_line(tmp_path, monkeypatch, name, rule):
+    monkeypatch.chdir(tmp_path)
+    Path("f").write_text("")
+    with pytest.raises(OSError, match=rule) as error, claimed(Path(os.fsdecode(name))):
+        pass
+    assert str(error.value).startswith("--out ")
+    assert "\n" not in str(error.value)
+    assert [path.name for path in tmp_path.iterdir()] == ["f"]
+
+
+def test_an_error_of_ours_in_the_recording_is_named_and_the_rows_are_whole(tmp_path, monkeypatch):
+    from follow.recording import rerun_log  # noqa: PLC0415
+
+    def broken(_self, _scene):
+        raise TypeError("not an\narray")
+
+    monkeypatch.setattr(rerun_log.RerunRecording, "images", broken)
+    lines: list[str] = []
+    with Recorder(tmp_path, RecordConfig(), lines.append, waits=True) as recorder:
+        for n in range(40):
+            recorder.tick(tick(n))
+    assert recorder.failure == "the recording ended by an error: TypeError: not an array"
+    assert lines == [recorder.failure]
+    assert len((tmp_path / "ticks.csv").read_text().splitlines()) == 41
+
+
+@pytest.mark.filterwarnings("ignore:RRD file has no footer")
+def test_the_recording_of_a_killed_flight_opens_with_its_frames(tmp_path):
+    """The process is killed while it flies; Rerun reads what had been flushed."""
+    flying = """
+import os, signal, sys, pathlib
+from follow.recording.recorder import RecordConfig, Recorder
+from tests.follow.test_record_flight import tick
+recorder = Recorder(pathlib.Path(sys.argv[1]), RecordConfig(), print, waits=True)
+for n in range(200):
+    recorder.tick(tick(n))
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+    killed = subprocess.run([sys.executable, "-c", flying, tmp_path], check=False, timeout=120)
+    assert killed.returncode == -signal.SIGKILL
+    from rerun.chunk import RrdReader  # noqa: PLC0415
+
+    chunks = [c for c in RrdReader(tmp_path / "flight.rrd").stream() if not c.is_static]
+    rows = {path: sum(c.num_rows for c in chunks if c.entity_path == path) for path in ("/image", "/range")}
+    assert 90 <= rows["/image"] <= 200
+    assert 90 <= rows["/range"] <= 200
+    assert len((tmp_path / "ticks.csv").read_text().splitlines()) > 150
 
 
 def test_summary_times_add_up():

@@ -1,0 +1,136 @@
+"""Files that a control loop writes without waiting for the disk: a thread of each file's own does the waiting.
+
+A disk that is full, slow or stalled costs what is written, never a round of the loop.
+"""
+
+import os
+import threading
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from typing import Protocol
+
+from follow.messages import Notify
+
+WAITING_BYTES = 8_000_000  # that may wait for one file: ten minutes of rows or packets
+CLOSE_S = 30.0  # maximum wait at the end for a disk that does not answer
+
+
+class ByteFile(Protocol):
+    """What is needed of an open file."""
+
+    def write(self, data: bytes, /) -> object:
+        """Write the bytes."""
+        ...
+
+    def flush(self) -> object:
+        """Hand them to the operating system."""
+        ...
+
+    def close(self) -> object:
+        """Close the file."""
+        ...
+
+
+def opened(path: Path) -> ByteFile:
+    """An empty file."""
+    return path.open("wb")
+
+
+class BackgroundFile:
+    """Appends to a file in the order of the calls, in a thread; `write` returns at once.
+
+    `lost` counts the writes that were dropped: because `waiting_bytes` were waiting already, or after an error of the
+    disk, which is reported once.  Raises OSError if the file cannot be opened.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        report: Notify,
+        waiting_bytes: int = WAITING_BYTES,
+        open_file: Callable[[Path], ByteFile] = opened,
+    ) -> None:
+        self.path = path
+        self.lost = 0
+        self._report, self._most = report, waiting_bytes
+        self._waiting: deque[bytes] = deque()
+        self._bytes = 0
+        self._change = threading.Condition()
+        self._closing = self._broken = False
+        self._file = open_file(path)
+        self._thread = threading.Thread(target=self._run, name=f"writer of {path.name}", daemon=True)
+        self._thread.start()
+
+    def write(self, data: bytes) -> None:
+        """Queue the bytes."""
+        with self._change:
+            if self._broken or self._closing or self._bytes + len(data) > self._most:
+                self.lost += 1
+                return
+            self._waiting.append(data)
+            self._bytes += len(data)
+            self._change.notify()
+
+    def close(self, timeout_s: float = CLOSE_S) -> None:
+        """Wait until everything is written, at most `timeout_s`; what is left then counts as lost, and is reported."""
+        with self._change:
+            self._closing = True
+            self._change.notify()
+        self._thread.join(timeout_s)
+        if self._thread.is_alive():
+            with self._change:
+                self.lost += len(self._waiting)
+            self._report(f"{self.path} is not written to its end: the disk did not answer within {timeout_s:g} s")
+
+    def _run(self) -> None:
+        while True:
+            with self._change:
+                self._change.wait_for(lambda: self._waiting or self._closing)
+                batch = list(self._waiting)
+                self._waiting.clear()
+                self._bytes = 0
+                ending = self._closing and not batch
+            try:
+                if ending:
+                    self._file.close()
+                    return
+                self._file.write(b"".join(batch))
+                self._file.flush()
+            except OSError as error:
+                self._break(error, len(batch))
+                return
+
+    def _break(self, error: OSError, unwritten: int) -> None:
+        with self._change:
+            self._broken = True
+            self.lost += unwritten + len(self._waiting)
+            self._waiting.clear()
+        self._report(f"{self.path} is no longer written: {error.strerror or error}; the flight goes on")
+        try:
+            self._file.close()
+        except OSError:
+            return  # the report above covers its last bytes
+
+
+class BackgroundTask:
+    """Runs a task in a thread, one run at a time; `start` returns at once, False if the last run is not over."""
+
+    def __init__(self, task: Callable[[], None], name: str) -> None:
+        self._task, self._name = task, name
+        self._thread: threading.Thread | None = None
+
+    def start(self) -> bool:
+        """Begin a run unless one is going on."""
+        if self._thread is not None and self._thread.is_alive():
+            return False
+        self._thread = threading.Thread(target=self._task, name=self._name, daemon=True)
+        self._thread.start()
+        return True
+
+
+def replace_file(path: Path, text: str) -> None:
+    """Replace a file's content atomically: a power cut leaves the old or the new one.  Raises OSError."""
+    beside = path.with_name(path.name + ".new")
+    beside.write_text(text)
+    os.replace(beside, path)

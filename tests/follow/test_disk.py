@@ -1,0 +1,145 @@
+"""A disk that stalls or is full costs what is written, never the caller's time."""
+
+import threading
+
+import pytest
+
+from follow.disk import BackgroundFile, BackgroundTask
+from follow.link.signing import Signing
+from follow.link.tlog import Tlog
+from follow.recording.recorder import RecordConfig, Recorder
+from tests.follow.test_record_flight import tick
+
+
+class StalledFile:
+    """A disk that takes nothing until `answers` is set."""
+
+    def __init__(self) -> None:
+        self.answers = threading.Event()
+        self.asked = threading.Event()
+        self.content = b""
+
+    def write(self, data: bytes) -> None:
+        self.asked.set()
+        assert self.answers.wait(60)
+        self.content += data
+
+    def flush(self) -> None: ...
+
+    def close(self) -> None: ...
+
+
+def silent(text: str) -> None:
+    raise AssertionError(text)
+
+
+def test_a_stalled_disk_gets_everything_later_in_order(tmp_path):
+    disk = StalledFile()
+    file = BackgroundFile(tmp_path / "rows", silent, open_file=lambda _path: disk)
+    file.write(b"0")
+    assert disk.asked.wait(60)
+    for n in range(1, 10):
+        file.write(b"%d" % n)  # returns although the disk takes nothing: else the test would hang here
+    assert disk.content == b""
+    disk.answers.set()
+    file.close()
+    assert disk.content == b"0123456789"
+    assert file.lost == 0
+
+
+def test_what_does_not_fit_is_counted(tmp_path):
+    disk = StalledFile()
+    file = BackgroundFile(tmp_path / "rows", silent, waiting_bytes=10, open_file=lambda _path: disk)
+    file.write(b"x")
+    assert disk.asked.wait(60)
+    for _ in range(15):
+        file.write(b"y")
+    disk.answers.set()
+    file.close()
+    assert disk.content == b"x" + 10 * b"y"
+    assert file.lost == 5
+
+
+def test_a_disk_that_never_answers_does_not_keep_the_program_from_ending(tmp_path):
+    disk, lines = StalledFile(), list[str]()
+    file = BackgroundFile(tmp_path / "rows", lines.append, open_file=lambda _path: disk)
+    file.write(b"x")
+    assert disk.asked.wait(60)
+    file.write(b"y")
+    file.close(timeout_s=0.0)
+    disk.answers.set()
+    assert file.lost == 1
+    assert len(lines) == 1
+    assert "did not answer" in lines[0]
+
+
+def test_the_loop_goes_on_while_rows_packets_and_signing_time_wait_for_the_disk(tmp_path, monkeypatch):
+    """Each call returns with the disk stalled; once it answers, all of it is there."""
+    disks: dict[str, StalledFile] = {}
+
+    def stalled(path):
+        return disks.setdefault(path.name, StalledFile())
+
+    def start(self, path, report, *_more, **_options):
+        original(self, path, report, open_file=stalled)
+
+    original = BackgroundFile.__init__
+    key = tmp_path / "key"
+    key.write_bytes(bytes(32))
+    key.chmod(0o600)
+    signing = Signing(key)
+    stores = StalledFile()
+    monkeypatch.setattr("follow.link.signing._write_time", lambda _path, value: stores.write(b"%d" % value))
+    monkeypatch.setattr(BackgroundFile, "__init__", start)
+    tlog = Tlog(tmp_path / "flight.tlog")
+    recorder = Recorder(tmp_path, RecordConfig(pictures=False), silent, waits=False)
+    clock = iter(range(1_800_000_000, 1_900_000_000, 11))  # each packet is due to store its time
+    monkeypatch.setattr("time.time", lambda: next(clock))
+
+    class Mav:
+        class signing:  # noqa: N801 - pymavlink's name
+            timestamp = 0
+
+    for n in range(100):
+        recorder.tick(tick(n))
+        tlog.write(b"packet", float(n))
+        signing.stamp(Mav)
+    assert not any(disk.content for disk in [*disks.values(), stores])
+    for disk in [*disks.values(), stores]:
+        disk.answers.set()
+    tlog.close()
+    recorder._rows.close()
+    assert disks["flight.tlog"].content.count(b"packet") == 100
+    assert disks["ticks.csv"].content.count(b"\n") == 101
+    for disk in disks.values():
+        assert disk.asked.is_set()
+
+
+def test_a_task_that_runs_is_not_started_again():
+    goes, ran = threading.Event(), []
+    task = BackgroundTask(lambda: (ran.append(1), goes.wait(60)), "task")
+    assert task.start()
+    assert not task.start()
+    goes.set()
+    assert task._thread is not None
+    task._thread.join(60)
+    assert task.start()
+    task._thread.join(60)
+    assert len(ran) == 2
+
+
+def test_an_error_of_the_disk_is_one_line_and_what_is_missing_is_counted(tmp_path):
+    (tmp_path / "rows").symlink_to("/dev/full")
+    lines: list[str] = []
+    file = BackgroundFile(tmp_path / "rows", lines.append)
+    for _ in range(7):
+        file.write(b"row\n")
+    file.close()
+    assert file.lost == 7
+    assert len(lines) == 1
+    assert "No space left" in lines[0]
+
+
+def test_a_file_that_cannot_be_made_is_an_error_at_once(tmp_path):
+    with pytest.raises(OSError, match="No such file"):
+        BackgroundFile(tmp_path / "none" / "rows", silent)
