@@ -8,19 +8,20 @@ import pytest
 import racf
 
 ROOT = Path(__file__).parents[1]
-SPOKEN = {"messages", "geometry", "ranges", "disk"}  # what every room of follow speaks
+SPOKEN = {"messages", "geometry", "ranges", "selection", "disk"}  # what every room of follow speaks
 MAY_IMPORT = {
     "messages": {"geometry"},
     "geometry": set(),
     "ranges": set(),
     "disk": {"messages"},
+    "selection": set(),
     "loop": {"messages", "camera", "link"},
     "config": SPOKEN | {"camera", "control", "safety", "recording"},
     "camera": SPOKEN,
     "link": SPOKEN,
     "control": SPOKEN,
     "safety": SPOKEN | {"control"},
-    "operator": SPOKEN | {"safety", "recording"},
+    "operator": SPOKEN | {"link", "safety", "recording"},
     "recording": SPOKEN,
     "flight": SPOKEN | {"camera", "link", "control", "safety", "operator", "recording", "loop"},
     "cli": SPOKEN | {"camera", "link", "control", "safety", "operator", "recording", "flight", "loop", "config"},
