@@ -1,0 +1,172 @@
+"""A target that a person selects, changes or clears in flight.
+
+A selection names the frame that it was drawn on.  The tracker learns the target in that frame, which is kept, and then
+tracks through the frames since, several a round, until it has caught up with the camera.  So a box that was drawn half
+a second late is on the target, not where the target was.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from follow.control.click import box_at
+from follow.messages import NEVER, Frame
+from follow.selection import Choice, Selection, Stopped
+from racf.box import Box
+from racf.track import Track
+
+Image = NDArray[np.uint8]
+
+EARLY_S = 0.1  # a selection may name a frame this much older than the oldest one that is kept
+MIN_SIDE_PX = 6.0  # a smaller target has no features to hold
+MIN_CONTRAST = 3.0  # standard deviation of grey levels: sensor noise alone is 1 to 3
+CATCH_UP = 4  # frames tracked in a round while behind: 4 x 5 ms on one core of a Pi 5
+
+
+class KeepsFrames(Protocol):
+    """What keeps the camera's last frames; `follow.camera.recent.RecentFrames` does."""
+
+    @property
+    def kept(self) -> tuple[Frame, ...]:
+        """The frames that are kept, oldest first."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """A box in a frame that is kept, from which the tracker is to start."""
+
+    box: Box
+    frame: Frame
+    by: str
+
+
+class Selector:
+    """The loop's tracker for a target that comes from a person: `update` returns None while there is no target.
+
+    `init` learns the target in a box, `track` finds it again, around the prior if there is one; `begin` is called as a
+    new target has been caught up with, so that nothing of the old one is believed.  `box` is the target in the first
+    frame, None to wait for a selection.
+    """
+
+    def __init__(
+        self,
+        init: Callable[[Image, Box], Track],
+        track: Callable[[Image, Box | None], Track],
+        recent: KeepsFrames,
+        begin: Callable[[], None],
+        box: Box | None = None,
+    ) -> None:
+        self._init, self._track, self._recent, self._begin = init, track, recent, begin
+        self._first = box
+        self._start: Start | None = None
+        self._done_t_s: float | None = None  # time of the last frame that was tracked while behind; None: not behind
+        self._has_target = False
+        self._box = Box(0.0, 0.0, 1.0, 1.0)  # where the target was at `_done_t_s`
+        self.selected_t_s = NEVER
+        self.by = ""
+
+    @property
+    def has_target(self) -> bool:
+        """Whether there is a target, caught up with or not."""
+        return self._has_target or self._start is not None or self._first is not None
+
+    def choose(self, choice: Choice) -> str:
+        """Take a selection or a stop; returns why it is refused, empty if it is taken."""
+        if isinstance(choice, Stopped):
+            self.clear()
+            return ""
+        found = self.start_of(choice)
+        if isinstance(found, str):
+            return found
+        self._start, self._first = found, None
+        return ""
+
+    def clear(self) -> None:
+        """Forget the target."""
+        self._start, self._first, self._done_t_s, self._has_target = None, None, None, False
+        self._begin()
+
+    def start_of(self, selection: Selection) -> Start | str:
+        """The frame and the box that a selection means, or why there is none."""
+        kept = self._recent.kept
+        if not kept:
+            return "no image yet: nothing selected"
+        if selection.frame_t_s < kept[0].t_s - EARLY_S:
+            late_s = kept[-1].t_s - selection.frame_t_s
+            return f"selected {late_s:.1f} s late: select again"
+        frame = min(kept, key=lambda known: abs(known.t_s - selection.frame_t_s))
+        box = meant(selection, frame.image)
+        return box if isinstance(box, str) else Start(box, frame, selection.by)
+
+    def update(self, image: Image, prior: Box | None = None) -> Track | None:
+        """The track of the newest frame; not found while the tracker catches up, None without a target."""
+        if self._first is not None:
+            box, self._first, self._has_target = self._first, None, True
+            return self._init(image, box)
+        if self._start is not None:
+            return self._caught_up(self._start)
+        if not self._has_target:
+            return None
+        if self._done_t_s is not None:
+            return self._catch_up(self._done_t_s, self._box)
+        return self._track(image, prior)
+
+    def _caught_up(self, start: Start) -> Track:
+        self._start, self._has_target = None, True
+        self.selected_t_s, self.by = self._recent.kept[-1].t_s, start.by
+        track = self._init(start.frame.image, start.box)
+        if start.frame.index == self._recent.kept[-1].index:
+            self._done_t_s = None
+            self._begin()
+            return track
+        return self._catch_up(start.frame.t_s, start.box)
+
+    def _catch_up(self, done_t_s: float, box: Box) -> Track:
+        """Track the next frames; `box` is where the target was in the frame of `done_t_s`."""
+        waiting = [frame for frame in self._recent.kept if frame.t_s > done_t_s]
+        track: Track | None = None
+        for frame in waiting[:CATCH_UP]:
+            track = self._track(frame.image, None)
+            done_t_s, box = frame.t_s, track.box
+        if track is None or len(waiting) > CATCH_UP:
+            self._done_t_s = done_t_s
+            self._box = box
+            return Track(box, box, 0.0, 0.0, 0.0, found=False)
+        self._done_t_s = None
+        self._begin()
+        return track
+
+
+def meant(selection: Selection, image: Image) -> Box | str:
+    """The box of a selection in the image's pixels, or why there is none."""
+    rows, columns = image.shape[:2]
+    left, top = selection.left * columns, selection.top * rows
+    if selection.is_point:
+        box = box_at(image, left, top)
+        return "nothing stands out there: draw a box" if box is None else box
+    sides = selection.width * columns, selection.height * rows
+    if min(sides) < MIN_SIDE_PX:
+        return f"box under {MIN_SIDE_PX:g} pixels: go nearer"
+    box = Box(left, top, *sides)
+    if box.intersection(Box(0, 0, columns, rows)) < 0.5 * box.area:
+        return "box outside the image: draw it again"
+    if contrast(image, box.scaled(1.5)) < MIN_CONTRAST:
+        return "nothing to hold on to: choose a target with edges"
+    return box
+
+
+def contrast(image: Image, box: Box) -> float:
+    """Standard deviation of the grey levels in the box."""
+    rows, columns = image.shape[:2]
+    left, top = max(int(box.x), 0), max(int(box.y), 0)
+    right, bottom = min(int(np.ceil(box.x + box.w)), columns), min(int(np.ceil(box.y + box.h)), rows)
+    part = image[top:bottom, left:right]
+    if part.size == 0:
+        return 0.0
+    grey = part if part.ndim == 2 else cv2.cvtColor(part, cv2.COLOR_BGR2GRAY)
+    return float(np.std(grey))
