@@ -23,6 +23,7 @@ from follow.messages import (
     Tick,
     VehicleState,
 )
+from follow.selection import AS_SET, Wanted
 from racf.box import Box
 from racf.track import Track
 
@@ -30,8 +31,8 @@ from racf.track import Track
 class BoxTracker(Protocol):
     """Finds the box again in each new image; `racf.Racf` is one."""
 
-    def update(self, image: NDArray[np.uint8], prior: Box | None = None) -> Track:
-        """Look for the target around `prior`, or around its last box when None."""
+    def update(self, image: NDArray[np.uint8], prior: Box | None = None) -> Track | None:
+        """Look for the target around `prior`, or around its last box when None; None: there is no target yet."""
         ...
 
 
@@ -52,7 +53,7 @@ class TargetEstimator(Protocol):
 class Controller(Protocol):
     """Computes the desired setpoint; `follow.control.servo.Servo` is one."""
 
-    def update(self, estimate: Estimate, state: VehicleState) -> Setpoint:
+    def update(self, estimate: Estimate, state: VehicleState, wanted: Wanted = AS_SET) -> Setpoint:
         """The velocity that brings the estimated target to its wanted direction and distance."""
         ...
 
@@ -107,8 +108,9 @@ def follow(
         clock.append(perf_counter())
         motion = meter.update(frame, track, state) if meter is not None else None
         estimate = target.update(track, state, frame_t_s, motion)
-        desired = servo.update(estimate, state)
-        decision = safety.allow(desired, estimate, state, frame_t_s, operator(), motion)
+        instruction = operator()
+        desired = servo.update(estimate, state, instruction.wanted)
+        decision = safety.allow(desired, estimate, state, frame_t_s, instruction, motion)
         clock.append(perf_counter())
         link.send(decision.setpoint)
         clock.append(perf_counter())

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from follow.geometry import ned_to_heading
+from follow.selection import AS_SET, Wanted
 from racf.track import Track
 
 Notify = Callable[[str], None]
@@ -280,11 +281,12 @@ STARTED = Reason(Cause.STARTED)
 
 @dataclass(frozen=True, slots=True)
 class Instruction:
-    """What the operator's side tells the gate in one round: an order with its reason, and what forbids FOLLOW now."""
+    """What the operator's side says in one round: an order with its reason, what forbids FOLLOW now, how to fly."""
 
     order: Order | None = None
     reason: Reason = STARTED
     forbids: str = ""
+    wanted: Wanted = AS_SET
 
 
 NO_INSTRUCTION = Instruction()

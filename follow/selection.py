@@ -1,4 +1,4 @@
-"""What passes between the consoles and the loop: which target a person chose, and what the consoles show of it.
+"""What passes between the consoles and the loop: the target that a person chose, how it is to be followed, what shows.
 
 Boxes are in shares of the image, 0 to 1 from its top-left corner, because a console shows it at another size.
 """
@@ -60,3 +60,25 @@ class TrackingStatus:
     state: TrackingState
     box: tuple[float, float, float, float] | None
     frame_t_s: float
+
+
+HOVER_HERE = "hover"
+"""The wanted mode in which the vehicle stays where it is and does not turn."""
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """How a person wants the vehicle to fly now, where it differs from the settings.
+
+    `mode` is a servo mode's name or HOVER_HERE, empty for the one that is set.  `standoff_factor` multiplies the
+    stand-off, `raise_rad` raises the vehicle so that the target appears that much lower than the image's middle row,
+    `around_m_s` moves it across the line of sight, to the right.
+    """
+
+    mode: str = ""
+    standoff_factor: float = 1.0
+    raise_rad: float = 0.0
+    around_m_s: float = 0.0
+
+
+AS_SET = Wanted()

@@ -10,12 +10,12 @@ import racf
 ROOT = Path(__file__).parents[1]
 SPOKEN = {"messages", "geometry", "ranges", "selection", "disk"}  # what every room of follow speaks
 MAY_IMPORT = {
-    "messages": {"geometry"},
+    "messages": {"geometry", "selection"},
     "geometry": set(),
     "ranges": set(),
     "disk": {"messages"},
     "selection": set(),
-    "loop": {"messages", "camera", "link"},
+    "loop": {"messages", "selection", "camera", "link"},
     "config": SPOKEN | {"camera", "control", "safety", "recording"},
     "camera": SPOKEN,
     "link": SPOKEN,

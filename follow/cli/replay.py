@@ -67,7 +67,7 @@ def replay_into(command: ReplayCommand, box: Box, truth: Annotations | None) -> 
         config = resolve(config, lens, config.camera.down_rad, 0.0)  # a file's frames do not come late
         target = FootageTarget(Target(lens, config.camera.down_rad, config.target), moves_view=command.ptz)
         # The window turns and climbs and cannot come nearer, whatever else the servo is set to.
-        geometry = replace(config.servo, mode=ServoMode.CENTRE) if command.ptz else config.servo
+        geometry = replace(config.servo, mode=ServoMode.SPOTLIGHT) if command.ptz else config.servo
         servo = Servo(config.camera.down_rad, geometry)
         # The window's vehicle stays where it is whatever it is told: that is no disobedience.
         limits = replace(config.limits, disobey_after_s=NEVER_S) if command.ptz else config.limits

@@ -5,20 +5,21 @@ right).  The modes differ only in the velocity they desire in these two.
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
 from follow.control.pid import Gains, Pid
 from follow.geometry import heading_to_ned, ned_to_heading, wrap
 from follow.messages import NEVER, Estimate, Setpoint, VehicleState
 from follow.ranges import require_numbers
+from follow.selection import AS_SET, HOVER_HERE, Wanted
 
 
 class ServoMode(str, Enum):
     """How to follow the target."""
 
     CHASE = "chase"  # keep the stand-off along the line of sight, whatever its direction
-    CENTRE = "centre"  # hold position: turn and climb only
+    SPOTLIGHT = "spotlight"  # hold position: turn and climb only
     ORBIT = "orbit"  # keep the stand-off and fly around
     PROFILE = "profile"  # keep the stand-off at right angles to the target's course
     TOP_DOWN = "top-down"  # above it, for a camera that looks steeply down: keep height and heading
@@ -36,7 +37,7 @@ class ServoConfig:
     """The desired geometry and the gains.  Raises ValueError for a number out of its range."""
 
     mode: ServoMode = ServoMode.CHASE
-    """Geometry to keep: chase behind, centre (turn and climb only), orbit, profile (beside), top-down (above)."""
+    """Geometry to keep: chase behind, spotlight (turn and climb only), orbit, profile (beside), top-down (above)."""
     standoff_m: float = 12.0  # Distance along the ground: a person of 1.8 m is some 50 pixels high in 640x360.
     orbit_m_s: float = 2.0  # Speed in orbit, positive to the right: a turn at 12 m takes 38 s.
     yaw: Gains = YAW
@@ -83,16 +84,20 @@ class Servo:
     aside: Pid = field(init=False)  # top-down: as `approach`, to the right
     pitch_rad: float | None = None
     t_s: float = NEVER
+    wanted: Wanted = AS_SET
+    settings: ServoConfig = field(init=False)  # what is set; `config` is that with what a person wants
 
     def __post_init__(self) -> None:
-        c = self.config
+        self.settings = c = self.config
         self.yaw, self.climb, self.approach, self.aside = Pid(c.yaw), Pid(c.climb), Pid(c.approach), Pid(c.approach)
 
-    def update(self, estimate: Estimate, state: VehicleState) -> Setpoint:
+    def update(self, estimate: Estimate, state: VehicleState, wanted: Wanted = AS_SET) -> Setpoint:
         """Return the velocity that keeps the target at its desired position; zero before the target was ever seen.
 
-        Without control nothing is integrated, so that waiting for the order does not wind up the integrators.
+        `wanted` is how a person wants it now.  Without control nothing is integrated, so that waiting for the order
+        does not wind up the integrators.
         """
+        self.want(wanted)
         dt = max(estimate.t_s - self.t_s, 0.0) if self.t_s > NEVER else 0.0
         self.t_s = estimate.t_s
         if self.pitch_rad is None:
@@ -101,7 +106,7 @@ class Servo:
         if not state.in_control:
             for pid in (self.yaw, self.climb, self.approach, self.aside):
                 pid.reset()
-        if estimate.seen_t_s == NEVER:
+        if estimate.seen_t_s == NEVER or wanted.mode == HOVER_HERE:
             return Setpoint()
         if self.config.mode is ServoMode.TOP_DOWN:
             return self.above(estimate, state, dt)
@@ -116,12 +121,24 @@ class Servo:
         down = self.descend(estimate, state, dt)
         return Setpoint(*heading_to_ned(radial, sideways, estimate.azimuth_rad), down, yaw_rate)
 
+    def want(self, wanted: Wanted) -> None:
+        """Use the geometry that a person wants; a new mode begins without what was integrated in the old one."""
+        if wanted == self.wanted:
+            return
+        is_mode = wanted.mode not in ("", HOVER_HERE)
+        mode = ServoMode(wanted.mode) if is_mode else self.settings.mode
+        if wanted.mode != self.wanted.mode:
+            for pid in (self.yaw, self.climb, self.approach, self.aside):
+                pid.reset()
+        standoff_m = self.settings.standoff_m * wanted.standoff_factor
+        self.wanted, self.config = wanted, replace(self.settings, mode=mode, standoff_m=standoff_m)
+
     def accompany(
         self, estimate: Estimate, state: VehicleState, along: float, across: float, dt: float
     ) -> tuple[float, float]:
         """Return the desired velocity along and across the line of sight, given the target's own two."""
         c = self.config
-        if c.mode is ServoMode.CENTRE:
+        if c.mode is ServoMode.SPOTLIGHT:
             return 0.0, 0.0
         error = self.range_error(estimate)
         forward, right, _ = state.body_velocity_m_s()
@@ -129,13 +146,13 @@ class Servo:
         with_target = c.feed_forward * along
         radial = self.approach.update(error, -estimate.range_m, dt, flown - with_target) + with_target
         if c.mode is ServoMode.ORBIT:
-            return radial, c.orbit_m_s + c.feed_forward * across
+            return radial, c.orbit_m_s + c.feed_forward * across  # it goes around by itself
         if c.mode is ServoMode.PROFILE and math.hypot(along, across) > c.course_m_s:
             sight = state.yaw_rad + estimate.azimuth_rad
             off = abeam_error(math.atan2(estimate.east_m_s, estimate.north_m_s), sight)
             swing = c.abeam_per_s * estimate.range_m * off
             return radial, min(max(swing, -c.abeam_m_s), c.abeam_m_s) + c.feed_forward * across
-        return radial, 0.0
+        return radial, self.wanted.around_m_s
 
     def range_error(self, estimate: Estimate) -> float:
         """Return how much farther than desired the target is, metres, by the nearer of what the ranges say.
@@ -154,7 +171,7 @@ class Servo:
 
     def axis_rad(self) -> float:
         """The depression of the image's middle row at the filtered pitch."""
-        return self.down_rad - (self.pitch_rad or 0.0)
+        return self.down_rad + self.wanted.raise_rad - (self.pitch_rad or 0.0)
 
     def descend(self, estimate: Estimate, state: VehicleState, dt: float) -> float:
         """Return the downward speed that brings the target to the image's middle row at the filtered pitch.
@@ -165,7 +182,7 @@ class Servo:
         c = self.config
         axis = min(max(self.axis_rad(), 0.0), STEEPEST_RAD)
         height = estimate.range_m * math.tan(min(estimate.depression_rad, STEEPEST_RAD))
-        stays = c.mode is ServoMode.CENTRE  # it cannot come nearer, so it keeps the target in the middle row
+        stays = c.mode is ServoMode.SPOTLIGHT  # it cannot come nearer, so it keeps the target in the middle row
         beyond = 0.0 if stays else min(max(estimate.range_m / c.standoff_m - 1.0, 0.0), 1.0)
         highest = c.height_ratio * c.standoff_m * math.tan(min(max(self.down_rad, c.band_rad), STEEPEST_RAD))
         most = estimate.range_m * math.tan(axis)

@@ -386,4 +386,4 @@ def test_the_height_that_follows_from_stand_off_and_angle_is_said(down_deg, stan
     config = Config(CameraConfig(down_deg=down_deg), servo=ServoConfig(standoff_m=standoff_m))
     why = f"{standoff_m:g} m away with the camera {down_deg:.0f} degrees below the nose"
     assert cli_run.height_line(config) == f"will fly about {height_m} m above the target: {why}"
-    assert cli_run.height_line(replace(config, servo=ServoConfig(mode=ServoMode.CENTRE))) == ""
+    assert cli_run.height_line(replace(config, servo=ServoConfig(mode=ServoMode.SPOTLIGHT))) == ""

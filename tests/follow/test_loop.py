@@ -70,7 +70,7 @@ class Target:
 
 
 class Servo:
-    def update(self, estimate, state):
+    def update(self, estimate, state, wanted=None):
         return HOVER
 
 

@@ -7,6 +7,8 @@ from hypothesis import strategies as st
 from follow.control.servo import Servo, ServoConfig, ServoMode
 from follow.messages import NEVER, Autopilot, Estimate, Setpoint, VehicleState
 from tests.support.ground_flight import GroundFlight
+from follow.messages import NEVER, Estimate, Setpoint, VehicleState
+from follow.selection import HOVER_HERE, Wanted
 
 DOWN = math.radians(30)
 CONFIG = ServoConfig()
@@ -130,8 +132,8 @@ def test_a_chase_ends_at_the_stand_off_behind_the_target():
     assert math.atan2(e - east, n - north) == pytest.approx(yaw, abs=0.02)
 
 
-def test_centre_stays_in_place_and_turns():
-    north, east, yaw = fly(ServoConfig(mode=ServoMode.CENTRE), walk, 20)
+def test_spotlight_stays_in_place_and_turns():
+    north, east, yaw = fly(ServoConfig(mode=ServoMode.SPOTLIGHT), walk, 20)
     assert (north, east) == (0.0, 0.0)
     assert yaw == pytest.approx(math.atan2(3.0, 12.0 + 28.0), abs=0.02)
 
@@ -212,3 +214,19 @@ def test_a_target_far_below_that_it_may_not_descend_to_is_watched_from_farther_a
     assert desired(deep).forward_m_s < -1.0
     level = Estimate(0.0, 0.0, math.atan2(30.0, 27.0), 27.0, 0.5, seen_t_s=0.0)
     assert abs(desired(level).forward_m_s) < 2.0
+
+
+def test_a_person_s_wanted_geometry_replaces_the_set_one_and_goes_with_it():
+    servo = Servo(0.5)
+    seen = Estimate(0.0, 0.0, 0.4, 20.0, 0.5, seen_t_s=0.0)
+    state = VehicleState(0.0, in_control=True)
+    assert servo.update(seen, state).forward_m_s > 1.0
+    assert servo.update(seen, state, Wanted(mode="spotlight")).forward_m_s == 0.0
+    assert servo.update(seen, state, Wanted(mode=HOVER_HERE)) == Setpoint()
+    near, far = (servo.update(seen, state, Wanted(standoff_factor=f)).forward_m_s for f in (1.0, 2.5))
+    assert near > 0.0 > far, "20 m is too far at a stand-off of 12 m and too near at 30 m"
+    around = servo.update(seen, state, Wanted(around_m_s=1.5))
+    assert around.right_m_s == pytest.approx(1.5)
+    low, high = (servo.update(seen, state, Wanted(raise_rad=r)).down_m_s for r in (0.0, 0.15))
+    assert high < low, "a raised vehicle climbs more"
+    assert servo.update(seen, state).forward_m_s == pytest.approx(near, abs=0.2)

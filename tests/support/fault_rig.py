@@ -22,6 +22,7 @@ from follow.link.client import MavlinkClient
 from follow.messages import Autopilot, Frame, Setpoint, Tick, VehicleState
 from follow.operator.authority import Operator
 from follow.safety.gate import Limits, Safety
+from follow.selection import AS_SET
 from racf.box import Box
 from racf.track import Track
 from sim.autopilot.system import AutopilotSystem
@@ -224,8 +225,8 @@ class Wishing:
     servo: Servo
     rig: Rig
 
-    def update(self, estimate, state) -> Setpoint:
-        return self.rig.desired(self.servo.update(estimate, state))
+    def update(self, estimate, state, wanted=AS_SET) -> Setpoint:
+        return self.rig.desired(self.servo.update(estimate, state, wanted))
 
 
 @dataclass(frozen=True)

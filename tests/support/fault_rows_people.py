@@ -280,7 +280,7 @@ DISTANCE_ROWS = (
             keeps(4.0),
             {**toward(3.0), "servo": ServoConfig(mode=mode)},
         )
-        for mode in (ServoMode.CENTRE, ServoMode.ORBIT, ServoMode.PROFILE)
+        for mode in (ServoMode.SPOTLIGHT, ServoMode.ORBIT, ServoMode.PROFILE)
     ),
     *(
         Row(f"target hides at {speed:g} m/s and stands there", lose, keeps(0.5), hides(speed))
