@@ -6,9 +6,8 @@ from hypothesis import strategies as st
 
 from follow.control.servo import Servo, ServoConfig, ServoMode
 from follow.messages import NEVER, Autopilot, Estimate, Setpoint, VehicleState
-from tests.support.ground_flight import GroundFlight
-from follow.messages import NEVER, Estimate, Setpoint, VehicleState
 from follow.selection import HOVER_HERE, Wanted
+from tests.support.ground_flight import GroundFlight
 
 DOWN = math.radians(30)
 CONFIG = ServoConfig()

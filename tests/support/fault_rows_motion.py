@@ -58,7 +58,7 @@ def fastest(mode: ServoMode = ServoMode.CHASE) -> dict[str, object]:
     """A flight at the speed limit, or as fast as the mode lets the vehicle fly; the fault comes at 22 s."""
     flight: dict[str, object] = {"fault_t_s": 22.0, "end_t_s": 38.0, "servo": ServoConfig(mode=mode)}
     flight |= {"path": away(FASTEST_M_S - 0.5), "down_rad": 0.3}  # the tilt at that speed adds 0.4 rad
-    if mode is ServoMode.CENTRE:
+    if mode is ServoMode.SPOTLIGHT:
         return {**flight, "path": around(FASTEST_M_S - 0.5)}
     if mode is ServoMode.TOP_DOWN:
         return {**flight, "down_rad": 0.8, "height_m": 15.0, "path": speeding(6.0)}
