@@ -76,6 +76,7 @@ class ImageMotionMeter:
     poses: PoseHistory = field(default_factory=PoseHistory)
     _key: tuple[float, NDArray[np.uint8], NDArray[np.float32], Box | None] | None = None
     _last: tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.bool_]] | None = None
+    _box: Box | None = None
     _waiting: deque[CornerTracks] = field(default_factory=lambda: deque[CornerTracks](maxlen=8))
 
     def update(self, frame: Frame | None, track: Track | None, state: VehicleState) -> ImageMotion | None:
@@ -85,7 +86,11 @@ class ImageMotionMeter:
         """
         self.poses.add(state)
         if frame is not None:
-            self._track(frame, track.box if track is not None and track.found else None)
+            box = track.box if track is not None and track.found else None
+            if self._key is not None and not follows(self._box, box):
+                self._key = *self._key[:3], None
+            self._box = box
+            self._track(frame, box)
         if self._waiting:
             first = self._waiting[0]
             if state.attitude_t_s >= first.to_t_s or state.t_s - first.to_t_s > WAIT_S:
@@ -203,6 +208,14 @@ class ImageMotionMeter:
             ground = np.where(np.isfinite(depth_m)[:, None], ray * np.minimum(depth_m, FAR_M)[:, None] - shift, ray)
         moved, _ = project(self.camera, second, np.zeros(3), ground)
         return rotated, moved
+
+
+def follows(before: Box | None, box: Box | None) -> bool:
+    """Whether a box may be on what the one in the frame before was on: it moved by less than its own size."""
+    if before is None or box is None:
+        return False
+    moved = math.hypot(box.centre_x - before.centre_x, box.centre_y - before.centre_y)
+    return moved < max(box.w, box.h)
 
 
 def shrunk_grey(image: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], float]:

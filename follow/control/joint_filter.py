@@ -33,6 +33,9 @@ N, E, D, VN, VE, MN, ME, L, BX, BY, BS = range(SIZE)
 STIRRED = 6.0
 """Squared distance of a box from its prediction, of three degrees of freedom, that shows a manoeuvre: chance 11 %."""
 
+SURPRISE_M_S = 1.5
+"""Change of velocity that is expected of a target whose box shows a manoeuvre, in one frame."""
+
 STIR_KEPT = math.exp(-1 / 90)
 """A target becomes calm within about 90 boxes that came where they were predicted: 3 s of them."""
 
@@ -186,6 +189,7 @@ def corrected(f: JointFilter, camera_ned: Array, sight: Sight, noise: Array) -> 
     length, axes = sight_axes(f.mean[:3] - camera_ned)
     p = in_sight(f.covariance, length, axes)
     step = innovation(f, camera_ned, sight, noise)
+    stir = max(f.stir * STIR_KEPT, min(step.distance2 / STIRRED, 1.0))
     gain = np.linalg.solve(step.covariance, OBSERVE @ p).T
     keep = np.eye(SIZE) - gain @ OBSERVE
     p = keep @ p @ keep.T + (gain * noise**2) @ gain.T
@@ -194,7 +198,8 @@ def corrected(f: JointFilter, camera_ned: Array, sight: Sight, noise: Array) -> 
     away = toward / np.linalg.norm(toward) * length * math.exp(min(max(change[2], -1.0), 1.0))
     mean = f.mean + change
     mean[:3] = camera_ned + away
-    stir = max(f.stir * STIR_KEPT, min(step.distance2 / STIRRED, 1.0))
+    if step.distance2 > STIRRED:  # the target turned or set off: all of its velocity is in doubt
+        p[[VN, VE], [VN, VE]] += SURPRISE_M_S**2
     return replace(f, mean=mean, covariance=in_sight(p, *sight_axes(away), back=True), stir=stir)
 
 

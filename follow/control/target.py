@@ -24,11 +24,15 @@ from follow.control.joint_filter import (
     with_size,
 )
 from follow.control.pose_history import Pose, PoseHistory
+from follow.control.regain import distance_to_segment, looked_for
 from follow.geometry import Array, Intrinsics, camera_to_ned, project, rays, undistort, wrap
 from follow.messages import NEVER, Estimate, ImageMotion, VehicleState
 from follow.ranges import require_numbers
 from racf.box import Box
 from racf.track import Track
+
+CUT = 5.0
+"""A box that reaches out of the image is this many times less certain: what it shows is a part of the target."""
 
 FAR_M = 1e3
 """Range, and its uncertainty, of a target that was never seen."""
@@ -51,6 +55,7 @@ class TargetConfig:
     ground: GroundTrust = field(default_factory=GroundTrust)
     near_sigmas: float = 2.0  # Standard deviations between the range and the nearest possible one: 97.7 % lie farther.
     jump_m: float = 1.5  # Step of the vehicle's position beyond its velocity that is a reset of its estimator.
+    gate_noise: float = 2.5  # The gate on boxes expects errors this many times larger: who sets off is no other target.
     gate_sigmas: float = 4.0  # Largest distance of a box from the prediction, in standard deviations.
     gate_size: float = 2.0  # Largest ratio of a box's size to the expected size, or of its inverse.
     lost_after_s: float = 0.5  # A target not seen for this long must be confirmed.
@@ -107,6 +112,7 @@ class Target:
     accepted: int = 0
     usual_psr: float = 0.0
     asked_t_s: float = NEVER
+    looks: int = 0
     sources: GroundSources = field(default_factory=GroundSources)
     waiting: deque[tuple[float, Track]] = field(default_factory=lambda: deque[tuple[float, Track]](maxlen=16))
 
@@ -132,7 +138,11 @@ class Target:
             return None
         pose = self.pose(state, t_s)
         f = self.carried(t_s)
-        pixels, depth = project(self.camera, self.rotation(pose), pose.position_ned, f.mean[None, :3])
+        place = f.mean[:3]
+        if t_s - self.seen_t_s > self.config.lost_after_s:
+            self.looks += 1
+            place = looked_for(f, self.seen_ned, self.looks)
+        pixels, depth = project(self.camera, self.rotation(pose), pose.position_ned, place[None, :])
         if depth[0] <= 1.0:
             return None
         height = math.exp(f.mean[7] + f.mean[10]) * math.sqrt(self.aspect) * self.camera.fy / depth[0]
@@ -194,14 +204,14 @@ class Target:
         else:
             f = self.carried(t_s)
             lost = t_s - self.seen_t_s > c.lost_after_s
-            fits = self.reachable(f, sight, pose) if lost else self.plausible(f, sight, pose)
+            fits = self.reachable(f, sight, pose) if lost else self.plausible(f, sight, pose, self.noise(box))
             if not fits or not self.sharp(track, lost=lost):
                 return False
             if lost and not self.confirmed(t_s):
                 return True
-            if innovation(f, pose.position_ned, sight, c.noise).distance2 > c.gate_sigmas**2:
+            if not self.plausible(f, sight, pose, self.noise(box)):
                 f = self.start(sight, t_s, pose, f)
-            self.filter = corrected(f, pose.position_ned, sight, c.noise)
+            self.filter = corrected(f, pose.position_ned, sight, self.noise(box))
         if track.psr > 0:  # the box that was given at the start has no response
             self.accepted += 1
             self.usual_psr += max(c.psr_rate, 1.0 / self.accepted) * (track.psr - self.usual_psr)
@@ -209,6 +219,11 @@ class Target:
         self.box, self.seen_t_s, self.proofs = box, t_s, 0
         self.seen_ned = self.filter.mean[:3].copy()
         return True
+
+    def noise(self, box: Box) -> Array:
+        """(3,) standard deviations of a box's white errors; those of one that the image's border cuts are larger."""
+        whole = box.x >= 0 and box.y >= 0 and box.x + box.w <= self.camera.width and box.y + box.h <= self.camera.height
+        return self.config.noise * (1.0 if whole else CUT)
 
     def start(self, sight: Sight, t_s: float, pose: Pose, before: JointFilter | None = None) -> JointFilter:
         """The filter of the first box, its range by the size's prior, or of one found again, by the size learnt before.
@@ -248,10 +263,10 @@ class Target:
         asked_s = c.confirm_fraction * (self.on_trial_since_s - self.seen_t_s)
         return self.proofs >= c.confirm and t_s - self.on_trial_since_s >= asked_s - 1e-9
 
-    def plausible(self, f: JointFilter, sight: Sight, pose: Pose) -> bool:
+    def plausible(self, f: JointFilter, sight: Sight, pose: Pose, noise: Array) -> bool:
         """Whether a box lies within the gate about the prediction, in direction and in size."""
         c = self.config
-        found = innovation(f, pose.position_ned, sight, c.noise)
+        found = innovation(f, pose.position_ned, sight, c.gate_noise * noise)
         return abs(found.residual[2]) <= math.log(c.gate_size) and found.distance2 <= c.gate_sigmas**2
 
     def reachable(self, f: JointFilter, sight: Sight, pose: Pose) -> bool:
@@ -359,11 +374,3 @@ def seen_from(
         seen_azimuth_rad=wrap(math.atan2(seen_away[1], seen_away[0]) - pose.yaw_rad),
         contradiction=sources.contradiction,
     )
-
-
-def distance_to_segment(point: Array, start: Array, end: Array) -> float:
-    """Distance (metres) of a point (2,) from the line between two others."""
-    along = end - start
-    length2 = float(along @ along)
-    fraction = min(max(float((point - start) @ along) / length2, 0.0), 1.0) if length2 > 0 else 0.0
-    return float(np.linalg.norm(point - start - fraction * along))

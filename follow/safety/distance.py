@@ -27,17 +27,29 @@ FULL_CLIMB_M = 0.5
 """The vehicle climbs at the full limit when it is this much or more below the height that it needs."""
 
 
+SPRINT_M_S, SPRINT_STANDOFF_M = 6.0, 3.0
+"""Somebody may start to run at the vehicle this fast at any time, and must not come nearer than this."""
+
+NOTICE_S = 1.2
+"""From a sudden run to the vehicle's climb: 0.5 s until the estimate shows it, the ramp, the autopilot's response."""
+
+STEADY_CLIMB_M_S = 1.0
+"""Fastest climb to the height that a run would need while nobody runs: slow, for the view's sake."""
+
+
 @dataclass(frozen=True, slots=True)
 class Worst:
     """The target at its nearest: NED angle of the line of sight, range along the ground and height above its head, m.
 
-    `approach_m_s` is the target's own speed towards the vehicle.
+    `approach_m_s` is the target's own speed towards the vehicle.  `spare_m` is the height by the estimate itself above
+    that which `sprint_above_m` needs.
     """
 
     sight_rad: float
     range_m: float
     above_m: float
     approach_m_s: float
+    spare_m: float = math.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,10 +73,24 @@ def worst(estimate: Estimate, state: VehicleState, limits: Limits) -> Worst:
         near = min(estimate.range_near_m, estimate.range_m)
     below = estimate.ground_below_m - limits.range_sigmas * estimate.ground_std_m
     below = below if math.isfinite(below) else -state.down_m
-    top = estimate.target_height_m if math.isfinite(estimate.target_height_m) else HEAD_M
+    top = max(estimate.target_height_m if math.isfinite(estimate.target_height_m) else HEAD_M, HEAD_M)
     sight = state.yaw_rad + estimate.azimuth_rad
     away, _ = ned_to_heading(estimate.north_m_s, estimate.east_m_s, sight)
-    return Worst(sight, max(near, 0.0), max(below - max(top, HEAD_M), 0.0), -away)
+    spare = estimate.ground_below_m - top - sprint_above_m(estimate.range_m, limits)
+    return Worst(sight, max(near, 0.0), max(below - top, 0.0), -away, spare)
+
+
+def sprint_above_m(range_m: float, limits: Limits) -> float:
+    """Height above the head from which the vehicle evades somebody who starts to run at it from `range_m`.
+
+    He is below it after range / SPRINT_M_S; by then it must have climbed to SPRINT_STANDOFF_M.  The retreat, which
+    only begins by then, is left out.
+    """
+    rising_s = max(range_m / SPRINT_M_S - NOTICE_S, 0.0)
+    ramp_s = limits.climb_m_s / limits.climb_accel_m_s2
+    full_s = max(rising_s - ramp_s, 0.0)
+    climbed = limits.climb_accel_m_s2 * min(rising_s, ramp_s) ** 2 / 2 + limits.climb_m_s * full_s
+    return max(min(SPRINT_STANDOFF_M, limits.min_standoff_m) - climbed, 0.0)
 
 
 def distance_m(target: Worst) -> float:
@@ -138,6 +164,8 @@ def limit_descent(down: float, target: Worst, state: VehicleState, limits: Limit
     """
     if target.approach_m_s > NEARING_M_S:
         down = min(down, 0.0)
+    steady = approach_speed(max(target.spare_m, 0.0), limits.climb_accel_m_s2)
+    down = min(down, steady if target.spare_m >= 0.0 else max(target.spare_m / SETTLE_S, -STEADY_CLIMB_M_S))
     room = target.above_m - needed_above_m(target, state, limits)
     if room >= 0.0:
         return min(down, approach_speed(room, limits.climb_accel_m_s2))

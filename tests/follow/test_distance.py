@@ -9,12 +9,16 @@ from hypothesis import strategies as st
 
 from follow.messages import HOVER, Cause, Mode, Order, Setpoint
 from follow.safety.distance import (
+    NOTICE_S,
+    SPRINT_M_S,
+    SPRINT_STANDOFF_M,
     Sighting,
     Worst,
     closing_speed,
     limit_closing_speed,
     limit_to_last_seen,
     needed_above_m,
+    sprint_above_m,
     stopping_speed,
     worst,
 )
@@ -94,6 +98,40 @@ def test_a_target_that_comes_nearer_makes_the_gate_retreat_and_climb_against_the
     if toward >= 3.0:  # a walker is outrun along the ground
         assert decision.setpoint.down_m_s < 0.0
     assert HELD["stand-off"] in decision.notes
+
+
+@given(st.floats(0.0, 40.0))
+def test_from_the_height_that_a_run_needs_the_stand_off_is_kept(away):
+    """Referee: the climb step by step, with the delay, until the runner is below."""
+    above = sprint_above_m(away, LIMITS)
+    rate, t_s = 0.0, 0.0
+    while t_s < away / SPRINT_M_S:
+        t_s += 1e-3
+        if t_s > NOTICE_S:
+            rate = min(rate + LIMITS.climb_accel_m_s2 * 1e-3, LIMITS.climb_m_s)
+        above += rate * 1e-3
+    assert above >= SPRINT_STANDOFF_M - 0.01
+    assert sprint_above_m(away, LIMITS) <= SPRINT_STANDOFF_M
+
+
+def test_lower_than_a_run_allows_the_gate_climbs_although_nobody_runs():
+    safety, t_s = engaged(down_m=-3.0)
+    now = t_s + DT
+    for i in range(1, 60):
+        now = t_s + i * DT
+        low = replace(seen(now), range_std_m=0.1, ground_below_m=3.0, ground_std_m=0.1, target_height_m=1.8)
+        state = flying(now, down_m=-3.0, **{**obeyed(safety), "down_m_s": 0.0})
+        decision = safety.allow(Setpoint(0.0, 0.0, 0.5), low, state, now)
+    assert decision.setpoint.down_m_s < -0.5
+    assert "held by the altitude limit" in decision.notes
+
+
+def test_the_floor_is_that_of_the_rangefinder_where_it_is_lower():
+    safety, t_s = engaged()
+    low = fly(safety, t_s, 3.0, Setpoint(down_m_s=1.0), down_m=-10.0, above_ground_m=1.5, above_ground_t_s=t_s + 2.2)
+    assert low[-1].setpoint.down_m_s < 0.0
+    old = fly(safety, t_s + 3.0, 3.0, Setpoint(down_m_s=1.0), down_m=-10.0, above_ground_m=1.5, above_ground_t_s=0.0)
+    assert old[-1].setpoint.down_m_s > 0.5
 
 
 def test_a_climb_ends_at_its_height_above_the_target():

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from itertools import product
 
 import pytest
 
@@ -23,23 +24,53 @@ def test_over_a_hill_the_distance_is_kept(slope):
     assert max(error[60:]) < 3.0
 
 
-def test_on_flat_ground_a_wrong_height_of_home_is_said_and_not_flown_into_the_ground():
-    def lower(state):
-        return replace(state, down_m=state.down_m - 8.0)
+def refused_or_kept(flight):
+    """Whether FOLLOW was refused, stopped with words, or keeps the stand-off and a height out of reach."""
+    words = {t.estimate.contradiction or str(t.decision.reason) for t in flight.ticks}
+    if flight.ticks[-1].decision.setpoint is None:
+        return any("height" in text for text in words)
+    return abs(flight.ranges()[-1] / flight.servo.standoff_m - 1) < 0.3
 
-    flight = GroundFlight(walk(1.4, after_s=2.0), flat, end_s=12.0, height_m=6.0, state=lower).fly()
-    assert flight.ticks[60].estimate.contradiction
+
+@pytest.mark.parametrize(
+    ("kind", "autopilot"),
+    [*product(["start", "jump"], Autopilot)]
+    + [("start, rangefinder", Autopilot.ARDUPILOT), ("counted jump", Autopilot.PX4)]
+    + [("counted jump, rangefinder", Autopilot.ARDUPILOT)],
+)
+@pytest.mark.parametrize("above", [-20.0, -8.0, -3.0, 3.0, 8.0, 20.0])
+def test_a_height_that_is_wrong_is_corrected_or_refused_and_never_flown_under_the_floor(above, kind, autopilot):
+    """`above` is how much higher the autopilot believes to be than it is, from the start on or from 8 s on."""
+    from_s = 8.0 if "jump" in kind else 0.0
+
+    def wrong(state):
+        off = above if state.t_s >= from_s else 0.0
+        if off and "counted" in kind:
+            state = replace(state, resets=1, reset_t_s=from_s, reset_down_m=-off)
+        if "rangefinder" in kind:
+            state = replace(state, above_ground_t_s=state.t_s, above_ground_m=-state.down_m)
+        return replace(state, down_m=state.down_m - off)
+
+    flight = GroundFlight(walk(1.4, after_s=2.0), flat, autopilot, end_s=16.0, state=wrong, parallax=True).fly()
+    assert flight.heights().min() > Limits().floor_m
     assert flight.to_body().min() > Limits().min_standoff_m
+    assert refused_or_kept(flight)
 
 
-@pytest.mark.parametrize(("speed", "least"), [(1.4, 4.0), (3.0, 4.0), (6.0, 2.3)])
-@pytest.mark.parametrize("down", [0.2, 0.5])
-def test_someone_who_comes_toward_it_does_not_meet_it(speed, least, down):
+@pytest.mark.parametrize("autopilot", Autopilot)
+@pytest.mark.parametrize(
+    ("speed", "down", "least"),
+    [(1.4, 0.2, 4.0), (1.4, 0.5, 4.0), (3.0, 0.2, 4.0), (3.0, 0.5, 4.0)]
+    + [(6.0, math.radians(degrees), 3.0) for degrees in (6.0, 9.0, 11.0, 29.0)],
+)
+def test_someone_who_comes_toward_it_does_not_meet_it(speed, down, least, autopilot):
+    """The wanted depression decides how high it flies: 6 degrees would be 1.3 m above the head, too low for a run."""
+
     def comes(t_s):
-        return 12.0 - speed * max(t_s - 3.0, 0.0), 0.0
+        return 12.0 - speed * max(t_s - 5.0, 0.0), 0.0
 
     flight = GroundFlight(
-        comes, flat, end_s=3.0 + 20.0 / speed, height_m=4.0 if down < 0.4 else 8.0, down_rad=down
+        comes, flat, autopilot, end_s=5.0 + 20.0 / speed, height_m=3.3 if down < 0.4 else 8.0, down_rad=down, seed=1
     ).fly()
     assert math.isfinite(flight.ticks[-1].estimate.range_m)
     assert flight.to_body().min() > least
