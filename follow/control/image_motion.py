@@ -87,6 +87,8 @@ class ImageMotionMeter:
         self.poses.add(state)
         if frame is not None:
             box = track.box if track is not None and track.found else None
+            if box is not None and not within(box, self.camera):
+                box = None  # what shows of a target at the border stays there while the target itself moves out
             if self._key is not None and not follows(self._box, box):
                 self._key = *self._key[:3], None
             self._box = box
@@ -208,6 +210,11 @@ class ImageMotionMeter:
             ground = np.where(np.isfinite(depth_m)[:, None], ray * np.minimum(depth_m, FAR_M)[:, None] - shift, ray)
         moved, _ = project(self.camera, second, np.zeros(3), ground)
         return rotated, moved
+
+
+def within(box: Box, camera: Intrinsics) -> bool:
+    """Whether all of a box lies inside the image."""
+    return box.x >= 0 and box.y >= 0 and box.x + box.w <= camera.width and box.y + box.h <= camera.height
 
 
 def follows(before: Box | None, box: Box | None) -> bool:

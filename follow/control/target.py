@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from follow.control.ground import GroundSources, GroundTrust, Parallax
+from follow.control.image_motion import within
 from follow.control.joint_filter import (
     JointFilter,
     Motion,
@@ -222,8 +223,7 @@ class Target:
 
     def noise(self, box: Box) -> Array:
         """(3,) standard deviations of a box's white errors; those of one that the image's border cuts are larger."""
-        whole = box.x >= 0 and box.y >= 0 and box.x + box.w <= self.camera.width and box.y + box.h <= self.camera.height
-        return self.config.noise * (1.0 if whole else CUT)
+        return self.config.noise * (1.0 if within(box, self.camera) else CUT)
 
     def start(self, sight: Sight, t_s: float, pose: Pose, before: JointFilter | None = None) -> JointFilter:
         """The filter of the first box, its range by the size's prior, or of one found again, by the size learnt before.
