@@ -47,7 +47,11 @@ NEAR_DEPTH = 0.35  # ground within this fraction of the feet's distance counts a
 NEAR_CORNERS = 4  # corners there below which the parallax says nothing of the height
 HEIGHT_NOISE_RAD = math.radians(0.2)  # error shared by an interval's corners: of the attitude between its frames
 HEIGHT_LEAST_RAD = 0.008  # rms translation there below which it says nothing either: twice that error
+JITTER_S = 0.01  # of a frame's time against the attitude's, each; at 0.5 rad/s it weighs as much as HEIGHT_NOISE_RAD
+SPEED_NOISE_M_S = 0.1  # of the velocity by GPS that the translation comes from: a hovering vehicle reports 0.05 to 0.1
+HEIGHT_RELATIVE_STD = 0.5  # a less certain height is not used: its error is not normal and has no bound
 WAIT_S = 0.15  # an interval waits at most this long for telemetry that covers its frames
+GAP_S = 0.15  # longest gap between the attitudes around a frame: across it a wobble of 1.5 Hz hides half of 0.5 degrees
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,7 +86,8 @@ class ImageMotionMeter:
     def update(self, frame: Frame | None, track: Track | None, state: VehicleState) -> ImageMotion | None:
         """Take in a round; the measurement of the oldest interval whose poses are known, or None.
 
-        A box counts only where the tracker says that it found the target.
+        A box counts only where the tracker says that it found the target.  An interval is dropped when the attitude at
+        one of its frames is not known: outside the messages, or in a gap of more than `GAP_S` between them.
         """
         self.poses.add(state)
         if frame is not None:
@@ -97,7 +102,8 @@ class ImageMotionMeter:
             first = self._waiting[0]
             if state.attitude_t_s >= first.to_t_s or state.t_s - first.to_t_s > WAIT_S:
                 self._waiting.popleft()
-                return self.compare(first)
+                known = max(self.poses.attitude_gap_s(t_s) for t_s in (first.from_t_s, first.to_t_s)) <= GAP_S
+                return self.compare(first) if known else None
         return None
 
     def _track(self, frame: Frame, box: Box | None) -> None:
@@ -148,7 +154,7 @@ class ImageMotionMeter:
             if np.isfinite(turned).all():
                 box_seen = new.centre_x - old.centre_x, new.centre_y - old.centre_y
                 box_expected = float(turned[0, 0]) - old.centre_x, float(turned[0, 1]) - old.centre_y
-        height_m, height_std_m = self.height(tracked, known, m - r, t, before)
+        height_m, height_std_m = self.height(tracked, known, m - r, t, before, after)
         return ImageMotion(
             from_t_s=tracked.from_t_s,
             t_s=tracked.to_t_s,
@@ -165,19 +171,24 @@ class ImageMotionMeter:
             height_std_m=height_std_m,
         )
 
-    def height(self, tracked: CornerTracks, known: Masks, left: Array, t: Array, pose: Pose) -> tuple[float, float]:
+    def height(
+        self, tracked: CornerTracks, known: Masks, left: Array, t: Array, before: Pose, after: Pose
+    ) -> tuple[float, float]:
         """Height above the ground around the target's feet and its standard deviation, by the corners' parallax.
 
         `left` is the (N, 2) motion of the `known` corners that rotation does not explain, `t` what translation over
         ground at the believed height would make of them.  At height h the translation is t believed / h, so
-        h = believed sum(t . t) / sum(t . left).  (inf, inf) when there is no box, or too little to see.
+        h = believed sum(t . t) / sum(t . left).  Its relative variance is the sum of two: of `left` (attitude, jitter
+        of the frames' times, corners) over the translation that is seen, and of the vehicle's velocity over its
+        translation.  (inf, inf) when there is no box, or too little to see.
         """
-        believed_m = self.ground_down_m - pose.down_m
+        believed_m = self.ground_down_m - before.down_m
         if tracked.box_before is None or believed_m < LEAST_HEIGHT_M:
             return math.inf, math.inf
         box = tracked.box_before
-        rotation = camera_to_ned(self.down_rad, pose.roll_rad, pose.pitch_rad, pose.yaw_rad)
-        down = (rays(self.camera, tracked.before[known]) @ rotation.T)[:, 2]
+        rotation = camera_to_ned(self.down_rad, before.roll_rad, before.pitch_rad, before.yaw_rad)
+        pixels = tracked.before[known]
+        down = (rays(self.camera, pixels) @ rotation.T)[:, 2]
         feet_down = float((rays(self.camera, [(box.centre_x, box.y + box.h)]) @ rotation.T)[0, 2])
         # The ray's fall tells the distance of flat ground: d = h / fall.
         near = np.abs(feet_down / np.maximum(down, 1e-6) - 1.0) < NEAR_DEPTH
@@ -188,11 +199,23 @@ class ImageMotionMeter:
         tt, lt = mean_product(w, t, t), mean_product(w, left, t)
         if lt < 0.1 * tt or lt * lt < tt * (HEIGHT_LEAST_RAD * self.camera.fx) ** 2:
             return math.inf, math.inf
-        ratio = lt / tt
-        off = left - ratio * t
-        shared_px = HEIGHT_NOISE_RAD * self.camera.fx
-        std = math.sqrt((shared_px**2 + mean_product(w, off, off) / len(t)) / tt)
-        return believed_m / ratio, believed_m / ratio**2 * std
+        off = left - lt / tt * t
+        jitter_px2 = sum(mean_product(w, j, t) ** 2 / tt for j in self.jittered(pixels[near], before, after))
+        left_px2 = (HEIGHT_NOISE_RAD * self.camera.fx) ** 2 + jitter_px2 + mean_product(w, off, off) / len(t)
+        seen = left_px2 * tt / lt**2
+        flown_px = self.camera.fx * SPEED_NOISE_M_S * (after.t_s - before.t_s) * feet_down / believed_m
+        relative_std = math.sqrt(seen + flown_px**2 / tt)
+        if relative_std > HEIGHT_RELATIVE_STD:
+            return math.inf, math.inf
+        height_m = believed_m * tt / lt
+        return height_m, height_m * relative_std
+
+    def jittered(self, pixels: Array, before: Pose, after: Pose) -> tuple[Array, Array]:
+        """How far (N, 2) pixels' motion by rotation is off when either frame's time is `JITTER_S` wrong, px."""
+        rotated, _ = self.expected(pixels, before, after)
+        early, _ = self.expected(pixels, self.poses.at(before.t_s - JITTER_S), after)
+        late, _ = self.expected(pixels, before, self.poses.at(after.t_s - JITTER_S))
+        return np.nan_to_num(early - rotated), np.nan_to_num(late - rotated)
 
     def expected(self, pixels: Array, before: Pose, after: Pose) -> tuple[Array, Array]:
         """Where (N, 2) pixels should be at the later pose: by the rotation alone, and with the translation.

@@ -99,6 +99,13 @@ class PoseHistory:
         self.positions.clear()
         self.positions.extend(moved)
 
+    def attitude_gap_s(self, t_s: float) -> float:
+        """Seconds between the attitude messages around `t_s`; inf before the first and after the last."""
+        a, b, _ = bracket(self.attitudes, attitude_time, t_s)
+        if a is b:
+            return 0.0 if t_s == a.attitude_t_s else math.inf
+        return b.attitude_t_s - a.attitude_t_s
+
     def at(self, t_s: float) -> Pose:
         """Return the pose at `t_s`, interpolated; beyond the newest message extrapolated for at most EXTRAPOLATE_S.
 

@@ -202,3 +202,40 @@ def test_intervals_with_a_gap_between_them_say_nothing_of_the_box():
     later = replace(one, from_t_s=2.0, t_s=2.2, box_expected_px=(0.0, 50.0))
     assert box_gain([one, later]) is None
     assert box_gain([one, replace(later, from_t_s=0.2, t_s=0.4)]).value == 0.0
+
+
+def hovering(t_s):
+    """Wobble and drift of a simulated quadrotor in Hold."""
+    return {
+        "pitch": 0.015 * math.sin(9 * t_s) + 0.02 * math.sin(4 * t_s),
+        "north": 0.02 * math.sin(2 * t_s),
+        "north_m_s": 0.04 * math.cos(2 * t_s),
+    }
+
+
+@pytest.mark.parametrize("late_s", [-0.05, 0.05])
+def test_a_hover_tells_no_height_although_its_frames_times_are_wrong(late_s):
+    """What rotation does not explain is then larger than the translation, and points along it by chance."""
+
+    def see(s):
+        return image_of(state(s.t_s, **hovering(s.t_s - late_s)))
+
+    motions = flown(hovering, 6.0, see=see, box=lambda _t: Box(150, 60, 12, 40))
+    assert len(motions) > 20
+    assert [m.height_m for m in motions if math.isfinite(m.height_std_m)] == []
+
+
+@pytest.mark.parametrize("gap", [(-1.0, 0.3), (0.3, 0.8)])
+def test_an_interval_whose_attitude_is_not_known_is_dropped(gap):
+    """Before the first message, or while the loop stood still: interpolation over it misses the wobble."""
+    measure = ImageMotionMeter(LENS, DOWN_RAD)
+    found, known = [], state(gap[1] + 1 / FPS, **hovering(gap[1] + 1 / FPS)) if gap[0] < 0 else state(0.0)
+    for n in range(60):
+        t_s = n / FPS
+        s = state(t_s, **hovering(t_s))
+        if not gap[0] < t_s <= gap[1]:
+            known = s
+        found.append(measure.update(Frame(image_of(s), t_s, n), None, replace(known, t_s=t_s)))
+    told = [m for m in found if m is not None]
+    assert len(told) >= 3
+    assert not any(gap[0] < t < gap[1] for m in told for t in (m.from_t_s, m.t_s))
