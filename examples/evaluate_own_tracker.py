@@ -34,6 +34,8 @@ class Template:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) != 2:
+        sys.exit("usage: evaluate_own_tracker.py DATA")
     evaluation = racf.evaluate.evaluate(sys.argv[1], trackers=[Template, "racf"])
     for table in evaluation.summary:
         print(table.markdown())

@@ -3,6 +3,7 @@
     python examples/own_link.py
 
 `state` and `send` are the whole Link.  `advance` is only needed because the drawn scene drives this vehicle's time.
+No setpoint is sent while a group of the state is missing, old or unsafe; the decision's reason says which.
 """
 
 from dataclasses import replace
@@ -15,7 +16,7 @@ from follow.control.target import Target
 from follow.flight.session import once
 from follow.geometry import heading_to_ned
 from follow.loop import follow
-from follow.messages import HOVER, Autopilot, Order, Setpoint, VehicleState
+from follow.messages import HOVER, Autopilot, Landed, Order, Setpoint, Tick, VehicleState
 from follow.safety.gate import Safety
 from racf import Racf
 from sim.camera import SceneCamera
@@ -31,13 +32,19 @@ class PointMass:
         self.setpoint = HOVER
 
     def state(self) -> VehicleState:
-        """What telemetry would tell now; each group carries the time at which it was measured."""
+        """What telemetry would tell now; each group carries the time at which it was measured.
+
+        `in_control`, `armed` and `landed` must be the vehicle's own word: FOLLOW is refused on the ground, and where it
+        is not known whether the vehicle flies.
+        """
         m = self.motion
-        fresh = {"t_s": m.t_s, "attitude_t_s": m.t_s, "position_t_s": m.t_s, "heartbeat_t_s": m.t_s}
+        groups = ("t_s", "attitude_t_s", "position_t_s", "heartbeat_t_s", "landed_t_s")
+        fresh = dict.fromkeys(groups, m.t_s)
         position = {"north_m": m.north_m, "east_m": m.east_m, "down_m": m.down_m}
         velocity = {"north_m_s": m.north_m_s, "east_m_s": m.east_m_s, "down_m_s": m.down_m_s}
         attitude = {"yaw_rad": m.yaw_rad, "yaw_rate_rad_s": m.yaw_rate_rad_s}
-        return VehicleState(**fresh, **position, **velocity, **attitude, in_control=True, armed=True)
+        flies = {"in_control": True, "armed": True, "landed": Landed.IN_AIR}
+        return VehicleState(**fresh, **position, **velocity, **attitude, **flies)
 
     def send(self, setpoint: Setpoint | None) -> None:
         """Take the gate's setpoint; None means that nothing is sent, and a real autopilot's failsafe acts."""
@@ -66,8 +73,8 @@ class PointMass:
         self.send(HOVER)
 
 
-def main(seconds: float = 4.0) -> float:
-    """Follow the drawn walker; returns the last estimated range, metres."""
+def main(seconds: float = 10.0) -> list[Tick]:
+    """Follow the drawn walker; returns every round."""
     scenario = replace(SCENARIOS["walker"], duration_s=seconds)
     world = scenario.world(0)
     link = PointMass(scenario.start(world, 0))
@@ -80,11 +87,15 @@ def main(seconds: float = 4.0) -> float:
         Servo(mount.down_rad, ServoConfig(standoff_m=scenario.standoff_m)),
         Safety(),
     )
-    ticks = []
+    ticks: list[Tick] = []
     with camera, link:
-        ticks.extend(follow(camera, link, *parts, once(Order.FOLLOW)))
-    print(f"{len(ticks)} rounds, {ticks[-1].estimate.range_m:.1f} m away, mode {ticks[-1].decision.mode.value}")
-    return ticks[-1].estimate.range_m
+        for tick in follow(camera, link, *parts, once(Order.FOLLOW)):
+            if not ticks or tick.decision.reason != ticks[-1].decision.reason:
+                print(f"{tick.state.t_s:5.1f} s: {tick.decision.mode.value} ({tick.decision.reason})")
+            ticks.append(tick)
+    sent = sum(tick.decision.setpoint is not None for tick in ticks)
+    print(f"{len(ticks)} rounds, {sent} setpoints sent, the target is {ticks[-1].estimate.range_m:.1f} m away")
+    return ticks
 
 
 if __name__ == "__main__":

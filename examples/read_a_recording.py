@@ -8,6 +8,7 @@ docs/after_a_flight.md describes every column.
 import csv
 import sys
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 
 import av
@@ -16,11 +17,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-def columns(folder: Path) -> NDArray[np.void]:
-    """The ticks as a structured array: `ticks["t_s"]` is a column; what is empty in the file is NaN or ''."""
-    with (folder / "ticks.csv").open(newline="") as file:
-        lines = ["\t".join(cells) for cells in csv.reader(file)]  # a reason with a comma in it is quoted
-    return np.genfromtxt(lines, delimiter="\t", names=True, dtype=None, encoding="utf-8", comments=None)
+WORDS = ("utc", "vehicle_mode", "target_contradiction", "mode", "reason", "notes")
+
+
+def columns(folder: Path) -> dict[str, NDArray[np.float64] | NDArray[np.str_]]:
+    """The ticks by column, `ticks["t_s"]` for one: numbers, NaN for an empty field, and texts in those of WORDS."""
+    with (folder / "ticks.csv").open(newline="", encoding="utf-8") as file:
+        names, *rows = csv.reader(file)
+    fields = dict(zip(names, zip(*rows, strict=True), strict=bool(rows)))
+    return {
+        name: np.array(of) if name in WORDS else np.array([float(field or "nan") for field in of])
+        for name, of in fields.items()
+    }
 
 
 def images(folder: Path) -> Iterator[tuple[float, NDArray[np.uint8]]]:
@@ -42,6 +50,8 @@ def packets(folder: Path) -> Iterator[tuple[float, bool, bytes]]:
     from rerun.chunk import RrdReader  # noqa: PLC0415 - the columns can be read without Rerun
 
     found: list[tuple[float, bool, bytes]] = []
+    if not (folder / "flight.rrd").exists():  # not every flight records images
+        return
     for chunk in RrdReader(folder / "flight.rrd").stream():
         if chunk.entity_path == "/image" and not chunk.is_static:
             batch = chunk.to_record_batch()
@@ -56,14 +66,20 @@ def packets(folder: Path) -> Iterator[tuple[float, bool, bytes]]:
 def main(folder: Path) -> None:
     """Print what a flight came to."""
     ticks = columns(folder)
-    print(f"{len(ticks)} rounds in {ticks['t_s'][-1]:.1f} s, modes {', '.join(sorted(set(ticks['mode'])))}")
+    if not ticks:
+        sys.exit(f"{folder} holds a recording without a round")
+    print(f"{len(ticks['t_s'])} rounds in {ticks['t_s'][-1]:.1f} s, modes {', '.join(sorted(set(ticks['mode'])))}")
     print(f"range {np.nanmean(ticks['target_range_m']):.1f} m on average")
     for name in ("forward_m_s", "right_m_s", "down_m_s", "yaw_rate_rad_s"):
         off = ticks[f"setpoint_{name}"] - ticks[f"desired_{name}"]
-        print(f"the gate changed {name} by {np.nanmax(np.abs(off)):.2f} at most")
-    t_s, image = next(images(folder))
-    print(f"the first image, at {t_s:.2f} s, is {image.shape[1]}x{image.shape[0]}")
+        if np.isfinite(off).any():  # else nothing was sent
+            print(f"the gate changed {name} by {np.nanmax(np.abs(off)):.2f} at most")
+    for t_s, image in islice(images(folder), 1):
+        print(f"the first image, at {t_s:.2f} s, is {image.shape[1]}x{image.shape[0]}")
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1] if len(sys.argv) > 1 else "out/demo"))
+    recording = Path(sys.argv[1] if len(sys.argv) > 1 else "out/demo")
+    if not (recording / "ticks.csv").is_file():
+        sys.exit(f"usage: read_a_recording.py FOLDER; there is no {recording / 'ticks.csv'}")
+    main(recording)

@@ -76,7 +76,7 @@ def row(n: int, tick: Tick, start_s: float = 0.0, started_unix_s: float | None =
         _word(tick.estimate.contradiction),
         *_values(tick.desired, _SETPOINT),
         *(_values(tick.decision.setpoint, _SETPOINT) if tick.decision.setpoint else [""] * len(_SETPOINT)),
-        *(_word(tick.decision.mode.value), _word(str(tick.decision.reason)), _word("; ".join(tick.decision.notes))),
+        *(_word(tick.decision.mode.value), _word(str(tick.decision.reason)), _word(" | ".join(tick.decision.notes))),
     )
     return ",".join(cells) + "\n"
 
@@ -107,6 +107,5 @@ def _text(value: float | bool) -> str:
 
 
 def _word(text: str) -> str:
-    """A field that may hold commas, quoted as spreadsheets read it (RFC 4180)."""
-    clean = " ".join(text.split())
-    return '"' + clean.replace('"', '""') + '"' if any(c in clean for c in ',"') else clean
+    """A field of words, a comma in it written as a semicolon: no field needs quotes, which not every reader knows."""
+    return " ".join(text.split()).replace(",", ";").replace('"', "'")

@@ -61,7 +61,9 @@ def test_every_tick_is_a_row_that_any_reader_of_csv_reads_back(tmp_path):
     assert [int(r["tick"]) for r in rows] == list(range(20))
     assert all(None not in r and tuple(r) == COLUMNS for r in rows)
     assert float(rows[7]["track_x_px"]) == 17
-    assert rows[4]["notes"] == 'frame is 0.30 s old, so; a "quoted" note'
+    assert rows[4]["notes"] == "frame is 0.30 s old; so | a 'quoted' note"
+    read = np.genfromtxt(tmp_path / "ticks.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")
+    assert read["notes"][4] == rows[4]["notes"]
 
 
 def test_column_names_carry_their_units():

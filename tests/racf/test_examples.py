@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 import tests.support.rendered_benchmarks as rendered
 from sim.clip import write
@@ -44,3 +45,20 @@ def test_a_tracker_of_ones_own_is_evaluated_beside_ours(tmp_path, monkeypatch, c
     )
     (figures,) = json.loads(capsys.readouterr().out).values()
     assert figures["precision_20px"] == 100.0
+
+
+@pytest.mark.parametrize(
+    ("name", "argv", "says"),
+    [
+        ("track_video.py", (), "usage: track_video.py VIDEO x,y,w,h"),
+        ("track_video.py", ("nowhere.mp4", "1,2,3,4"), "there is no nowhere.mp4"),
+        ("evaluate_own_tracker.py", (), "usage: evaluate_own_tracker.py DATA"),
+        ("read_a_recording.py", ("nowhere",), "there is no nowhere/ticks.csv"),
+    ],
+)
+def test_an_example_with_a_wrong_argument_says_so_in_its_last_line(name, argv, says):
+    command = [sys.executable, str(EXAMPLES / name), *argv]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    assert ended.returncode == 1
+    assert says in ended.stderr.splitlines()[-1]
+    assert "Traceback" not in ended.stderr
