@@ -5,6 +5,12 @@ from dataclasses import dataclass
 
 from typing_extensions import Self
 
+LEAST_INSIDE = 0.5
+"""Fraction of a first box in the image: with less, what is learnt is mostly the image's repeated edge."""
+
+MOST_OF_IMAGE = 0.9
+"""Largest fraction of the image that a first box may fill."""
+
 
 @dataclass(frozen=True, slots=True)
 class Box:
@@ -81,3 +87,23 @@ class Box:
     def scaled(self, factor: float) -> "Box":
         """The box about the same centre with both sides times `factor`."""
         return Box.around(self.centre_x, self.centre_y, self.w * factor, self.h * factor)
+
+    def as_start(self, width: int, height: int) -> str:
+        """A line of warning about this box as a tracker's start in an image of that size, "" for a sound one.
+
+        Raises ValueError if less than half of it lies in the image, or if it leaves no background to tell it from.
+        """
+        inside = self.intersection(Box(0, 0, width, height))
+        if inside <= 0:
+            raise ValueError(f"target {self} lies outside the {width}x{height} image")
+        if inside < LEAST_INSIDE * self.area:
+            raise ValueError(
+                f"only {100 * inside / self.area:.0f} % of target {self} lies in the {width}x{height} image: "
+                f"at least {100 * LEAST_INSIDE:.0f} % must"
+            )
+        if inside > MOST_OF_IMAGE * width * height:
+            raise ValueError(f"target {self} fills the {width}x{height} image: a tracker needs some background around it")
+        # Half a pixel is rounding.
+        beyond = max(-self.x, -self.y, self.x + self.w - width, self.y + self.h - height)
+        part = f"{100 - 100 * inside / self.area:.0f} % of target {self} lies outside the {width}x{height} image"
+        return f"{part}: the tracker starts with what it sees of it" if beyond > 0.5 else ""

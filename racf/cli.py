@@ -135,6 +135,7 @@ def track(command: TrackCommand) -> None:
         raise UsageError(f"{command.source} is neither a folder of images nor a video file")
     if command.truth is not None and not command.truth.is_file():
         raise UsageError(f"--truth must be a file of annotations; {command.truth} is not a file")
+    tracking.require_outputs(command.source, command.truth, command.out, command.overlay)
     truth, target = (None, None) if command.truth is None else tracking.read_truth(command.truth)
     try:
         (spec,) = builders_of(command.tracker, command.set)
@@ -143,11 +144,11 @@ def track(command: TrackCommand) -> None:
         raise UsageError(str(error)) from None
     if target is None:
         raise UsageError("a target is needed: --init x,y,w,h, or --truth with its annotation")
-    tracked = tracking.track(command.source, target, spec, truth, command.overlay)
+    tracked = tracking.track(command.source, target, spec, truth, command.overlay, to_stderr)
     beside = tracked.write(command.out)
     lost = sum(not t.found for t in tracked.tracks)
     to_stderr(
-        f"{len(tracked.tracks)} boxes written to {command.out} and {beside.name}: "
+        f"{len(tracked.tracks)} boxes written to {command.out} and {beside}: "
         f"{tracked.fps:.0f} frames/s, not found in {lost} frames"
     )
     if truth is not None:

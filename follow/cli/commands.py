@@ -204,6 +204,14 @@ def lens_of(camera: CameraConfig, width: int, height: int) -> Intrinsics:
         raise UsageError(f"camera.calibration {camera.calibration!r}: {error}") from None
 
 
+def box_in(box: Box, width: int, height: int) -> str:
+    """What to report of the target's box in frames of that size; "" for a sound one.  Raises UsageError."""
+    try:
+        return box.as_start(width, height)
+    except ValueError as error:
+        raise UsageError(f"--target: {error}") from None
+
+
 def box_of(text: str) -> Box:
     """A box from the command line; raises UsageError."""
     try:

@@ -9,7 +9,7 @@ from follow.camera import Camera
 from follow.camera.names import is_live
 from follow.camera.video import ReplayCamera, open_replay
 from follow.camera.window import WindowCamera
-from follow.cli.commands import ReplayCommand, box_of, lens_of
+from follow.cli.commands import ReplayCommand, box_in, box_of, lens_of
 from follow.cli.settings import as_toml
 from follow.config import Config, resolve
 from follow.control.footage import FootageTarget
@@ -55,6 +55,8 @@ def replay_into(command: ReplayCommand, box: Box, truth: Annotations | None) -> 
     source = os.fsencode(command.source).decode(errors="replace")  # a name need not be UTF-8, a recording must
     about = f"# follow replay {source}\n\ntracker {command.tracker}, {footage.fps:g} frames/s"
     with footage:
+        if line := box_in(box, *footage.size):
+            terminal.report(line)
         now = partial(getattr, footage, "t_s")
         link = ReplayLink(footage.fps, REPLAY_HEIGHT_M, command.autopilot, holds_place=command.ptz, now=now)
         camera: Camera = footage

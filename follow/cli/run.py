@@ -16,7 +16,7 @@ from follow.camera.live import LiveVideo
 from follow.camera.names import is_live
 from follow.camera.realtime import RealTime
 from follow.camera.video import open_replay
-from follow.cli.commands import RunCommand, box_of, lens_of
+from follow.cli.commands import RunCommand, box_in, box_of, lens_of
 from follow.cli.layers import SCENE, from_scene
 from follow.cli.settings import as_toml, scene_values
 from follow.cli.sim import Referee, believed_camera, scene_camera
@@ -199,6 +199,8 @@ def prepare(command: RunCommand, link: MavlinkLink, report: Notify) -> PreparedF
     report("vehicle found: measuring its message rates and reading its parameters, some 10 s")
     red = unwaived(inspect(command, link), command.waive, report)
     seen = open_camera(command, link, report)
+    if line := box_in(seen.target, seen.lens.width, seen.lens.height):
+        report(line)
     tracker = acquire(command.tracker, seen.target)
     if path := command.config.camera.calibration:
         report(f"lens by {path}: {described(seen.lens)}")

@@ -1,7 +1,7 @@
 """One box through one video or folder of images: what `racf track` does."""
 
 import csv
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -63,6 +63,37 @@ class Tracked:
         return beside
 
 
+def require_outputs(source: Path, truth: Path | None, out: Path, overlay: Path | None) -> None:
+    """Raise UsageError if boxes, their .csv or the overlay would overwrite an input, each other, or another's file.
+
+    Boxes may overwrite those of an earlier run only: their .csv beside them has our columns.  So an annotation stays.
+    """
+    beside = out.with_suffix(".csv")
+    written = {"--out": out, "the .csv beside --out": beside, "--overlay": overlay}
+    for option, path in written.items():
+        for what, given in (("source", source), ("annotation", truth)):
+            if path is not None and given is not None and _is_same(path, given):
+                raise UsageError(f"{option} would overwrite the {what}, {given}: give another name")
+    if overlay is not None and (_is_same(overlay, out) or overlay.absolute() == out.absolute()):
+        raise UsageError(f"--out and --overlay are one file, {out}: give another name")
+    for path in (out, beside):
+        if path.is_file() and not _is_ours(beside):
+            raise UsageError(f"{path} exists and was not written by racf track: delete it, or give another name")
+
+
+def _is_same(one: Path, other: Path) -> bool:
+    """Whether both lead to one file, by whatever links."""
+    return one.exists() and other.exists() and one.samefile(other)
+
+
+def _is_ours(beside: Path) -> bool:
+    try:
+        with beside.open(encoding="utf-8", errors="replace") as file:
+            return file.readline().strip() == ",".join(COLUMNS)
+    except OSError:
+        return False
+
+
 def read_truth(path: Path) -> tuple[Boxes, Box]:
     """An annotation in 1-based pixels, and the target that its first row shows, in 0-based ones."""
     truth = read_boxes(path)
@@ -74,17 +105,25 @@ def read_truth(path: Path) -> tuple[Boxes, Box]:
 
 
 def track(
-    source: Path, target: Box, spec: TrackerBuilder, truth: Boxes | None = None, overlay: Path | None = None
+    source: Path,
+    target: Box,
+    spec: TrackerBuilder,
+    truth: Boxes | None = None,
+    overlay: Path | None = None,
+    notify: Callable[[str], None] = lambda _line: None,
 ) -> Tracked:
     """Follow `target` from the first image of a video file or folder of images to the last.
 
     `overlay` names a video to write, in which the tracker's box (green, red while it is not found), its confidence
-    and the annotation `truth` (white, 1-based) are drawn.  Raises ValueError or OSError for what cannot be read,
+    and the annotation `truth` (white, 1-based) are drawn.  `notify` is told if the target reaches out of the image.
+    Raises ValueError or OSError for what cannot be read,
     TrackerError if the tracker fails.
     """
     tracker, tracks, times = spec.build(), list[Track](), list[float]()
     with _writer(overlay, source) as write:
         for image in frames_of(source):
+            if not tracks and (line := _start(target, image)):
+                notify(line)
             with naming(spec.label, f"{source}, frame {len(tracks)}"):
                 began = perf_counter()
                 answer = tracker.update(image) if tracks else tracker.init(image, target)
@@ -94,6 +133,13 @@ def track(
                 write.put(drawn(image, answer, row))
             tracks.append(answer)
     return Tracked(tracks, times)
+
+
+def _start(target: Box, image: NDArray[np.uint8]) -> str:
+    try:
+        return target.as_start(image.shape[1], image.shape[0])
+    except ValueError as error:
+        raise UsageError(str(error)) from None
 
 
 def drawn(image: NDArray[np.uint8], track: Track, truth: NDArray[np.float64] | None) -> NDArray[np.uint8]:

@@ -10,6 +10,7 @@ import pytest
 import tests.support.rendered_benchmarks as rendered
 from racf.cli import main
 from racf.evaluate.boxfiles import read_boxes, write_boxes
+from sim.clip import write
 
 
 def racf(*argv: object) -> int:
@@ -160,3 +161,62 @@ def test_help_of_bench_says_what_no_first_call_does(capsys):
     assert racf("bench", "--help") == 0
     words = " ".join(re.sub(r"[^\w\s.-]", " ", capsys.readouterr().out).split())
     assert "--no-first-call Leave out the times" in words
+
+
+@pytest.fixture
+def clip(tmp_path):
+    """A folder with clip.mp4, its annotation clip.txt and links to both."""
+    write(tmp_path / "clip.mp4", 4)
+    (tmp_path / "film.mp4").symlink_to(tmp_path / "clip.mp4")
+    (tmp_path / "also.mp4").hardlink_to(tmp_path / "clip.mp4")
+    (tmp_path / "link.txt").symlink_to(tmp_path / "clip.txt")
+    (tmp_path / "sub").mkdir()
+    return tmp_path
+
+
+OVERWRITING = {
+    "boxes over the video": (("--out", "clip.mp4"), "the source"),
+    "boxes over a link to the video": (("--out", "film.mp4"), "the source"),
+    "boxes over the video by another way": (("--out", "sub/../clip.mp4"), "the source"),
+    "the overlay over the video": (("--out", "b.txt", "--overlay", "clip.mp4"), "the source"),
+    "the overlay over a hard link": (("--out", "b.txt", "--overlay", "also.mp4"), "the source"),
+    "boxes over the annotation": (("--out", "clip.txt", "--truth", "clip.txt"), "the annotation"),
+    "boxes over a link to it": (("--out", "link.txt", "--truth", "clip.txt"), "the annotation"),
+    "boxes over an annotation not given": (("--out", "clip.txt"), "not written by racf track"),
+    "confidence over a table": (("--out", "table.txt"), "not written by racf track"),
+    "boxes and overlay in one file": (("--out", "new.mp4", "--overlay", "new.mp4"), "one file"),
+}
+
+
+@pytest.mark.parametrize("what", OVERWRITING)
+def test_track_overwrites_nothing_but_its_own_boxes(what, clip, capsys, monkeypatch):
+    monkeypatch.chdir(clip)
+    (clip / "table.csv").write_text("my,own\n1,2\n")
+    before = {path.name: path.read_bytes() for path in clip.iterdir() if path.is_file()}
+    argv, named = OVERWRITING[what]
+    assert racf("track", "clip.mp4", "--init", "309,192,22,48", *argv) == 2
+    assert {path.name: path.read_bytes() for path in clip.iterdir() if path.is_file()} == before
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert named in err
+
+
+def test_track_writes_its_boxes_again_and_says_where(clip, capsys, monkeypatch):
+    monkeypatch.chdir(clip)
+    words = ("track", "clip.mp4", "--init", "309,192,22,48", "--out", "sub/boxes.txt", "--tracker", "racf-")
+    assert racf(*words) == racf(*words) == 0
+    assert "4 boxes written to sub/boxes.txt and sub/boxes.csv" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("box", "status", "says"),
+    [
+        ("630,340,24,48", 2, "only 17 % of target 630,340,24,48 lies in the 640x360 image"),
+        ("700,10,24,48", 2, "lies outside the 640x360 image"),
+        ("0,0,640,360", 2, "needs some background"),
+        ("622,192,24,48", 0, "25 % of target 622,192,24,48 lies outside the 640x360 image"),
+    ],
+)
+def test_a_first_box_that_reaches_out_of_the_image_is_told(box, status, says, clip, capsys):
+    assert racf("track", clip / "clip.mp4", "--init", box, "--out", clip / "b.txt", "--tracker", "racf-") == status
+    assert says in capsys.readouterr().err
