@@ -17,7 +17,7 @@ import tyro
 from racf.errors import UsageError
 from racf.threads import one_core
 
-__all__ = ["UsageError", "guarded", "parse", "run"]
+__all__ = ["Stopped", "UsageError", "guarded", "parse", "run"]
 
 CommandT = TypeVar("CommandT")
 
@@ -32,6 +32,10 @@ STOPPED_S = 0.5
 """Maximum wait for a terminal that Ctrl-S stopped: the program must end, and its exit status tells of failure."""
 
 _FRAME = re.compile(r"[─-╿]+|-{5,}")  # the block of box-drawing characters; dashes where the output is not UTF-8
+
+
+class Stopped(KeyboardInterrupt):
+    """A person stopped the program, which has said so and what is left."""
 
 
 def run(
@@ -67,8 +71,10 @@ def guarded(work: Callable[[], None], *, prog: str, failures: tuple[type[Excepti
         work()
     except UsageError as error:
         return _complain(prog, error, 2)
+    except Stopped:
+        return 1
     except KeyboardInterrupt:
-        return _complain(prog, "interrupted", 1)
+        return _complain(prog, "stopped before it was done (Ctrl-C or SIGTERM)", 1)
     except BrokenPipeError:
         return 1  # the reader of our output closed it: nobody reads a message
     except (OSError, ValueError, *failures) as error:

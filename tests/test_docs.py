@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from follow.config import PRESETS, TargetKind
+from follow.config import PRESETS, Config, TargetKind
 from follow.flight.parameters import QUESTIONS
 from follow.messages import Cause
 from follow.recording.rows import COLUMNS
@@ -135,3 +135,19 @@ def test_heights_and_kinds_of_target_are_those_of_the_program():
         "--limits.speed-m-s": ("limits", "speed_m_s"),
     }.items():
         assert [float(v) for v in rows[option]] == [PRESETS[kind][branch][name] for kind in TargetKind]
+
+
+def option(config: object, path: str) -> object:
+    """The default of a dotted option as it is typed; raises AttributeError where there is none."""
+    for name in path.replace("-", "_").split("."):
+        config = getattr(config, name)
+    return config
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_setting_of_a_page_exists_and_a_number_in_brackets_is_its_default(page):
+    text = page.read_text()
+    for name in re.findall(r"--((?:camera|target|servo|limits)\.[a-z0-9.-]+[a-z0-9])", text):
+        option(Config(), name)
+    for name, number in re.findall(r"`--((?:camera|target|servo|limits)\.[a-z0-9.-]+)` \(([\d.]+)\)", text):
+        assert float(number) == option(Config(), name), name

@@ -14,7 +14,7 @@ from follow.config import CameraConfig, Config, resolve
 from follow.control.image_motion import ImageMotionMeter
 from follow.control.servo import Servo
 from follow.control.target import Target
-from follow.flight.session import acquire, conclude, fly, keep_live_flight, kept_geometry, once
+from follow.flight.session import acquire, conclude, fly, keep_other_flight, kept_geometry, once
 from follow.loop import follow
 from follow.messages import Autopilot, Order, Tick
 from follow.operator.terminal import Terminal, result, table
@@ -108,7 +108,8 @@ def simulate_into(flight: FlightSpec, terminal: Terminal, *, bar: bool) -> Flown
     referee = Referee(camera)
     strip = Strip(scenario.duration_s)
     tracker = acquire(flight.tracker, camera.first()[1])  # what may refuse a flight comes before its recording
-    keep_live_flight(flight.out, terminal)
+    flown: Figures = {"scenario": flight.scenario, "seed": flight.seed, "autopilot": flight.autopilot.value}
+    keep_other_flight(flight.out, flown, terminal)
     kept = kept_geometry(config.servo, down_rad)
     with (
         camera,
@@ -130,9 +131,10 @@ def simulate_into(flight: FlightSpec, terminal: Terminal, *, bar: bool) -> Flown
                 ticks = terminal.progress(ticks, rounds, flight.name)
             finished = fly(ticks, recorder, terminal.report if bar else recorder.message, true_box)
         scored = referee.figures(referee.rows, config)
-        flown: Figures = {"scenario": flight.scenario, "seed": flight.seed, "autopilot": flight.autopilot.value}
         figures = recorder.close({"tracker": flight.tracker, **scored, **flown})
-    draw(flight.out / "flight.png", flight.name, referee.rows, world, drawn.intrinsics, servo.config.standoff_m, strip)
+    if any(row.truth for row in referee.rows):  # else it was stopped before its first frame
+        path = flight.out / "flight.png"
+        draw(path, flight.name, referee.rows, world, drawn.intrinsics, servo.config.standoff_m, strip)
     return FlownFlight(figures, finished, recorder.failure)
 
 

@@ -1,8 +1,10 @@
 """What replayed, simulated and real flights have in common around the loop."""
 
+import json
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
+from typing import cast
 
 from follow.control.acquire import Acquire
 from follow.control.servo import STEEPEST_RAD, ServoConfig, ServoMode
@@ -15,7 +17,7 @@ from follow.recording.rows import Desired
 from follow.recording.summary import Figures
 from racf import Racf
 from racf.box import Box
-from racf.commandline import UsageError
+from racf.commandline import Stopped, UsageError
 from racf.evaluate.trackers import TrackerSpec
 from racf.tracker import warm_up
 
@@ -44,9 +46,14 @@ def keep_flight(out: Path, terminal: Terminal) -> None:
         terminal.report(f"the flight that was in {out} is now in {moved}")
 
 
-def keep_live_flight(out: Path, terminal: Terminal) -> None:
-    """Move the recording of a live flight in `out` aside; a simulation, which its seed repeats, may be written over."""
-    if (out / "flight.tlog").exists():
+def keep_other_flight(out: Path, flown: Figures, terminal: Terminal) -> None:
+    """Move the recording in `out` aside, unless it is of the simulation that `flown` names, which can be flown again."""
+    try:
+        before = cast(Mapping[str, object], json.loads((out / "summary.json").read_text(encoding="utf-8")))
+        same = all(before.get(name) == value for name, value in flown.items())
+    except (OSError, ValueError, AttributeError):  # none, or not written to its end
+        same = False
+    if not same or (out / "flight.tlog").exists():
         keep_flight(out, terminal)
 
 
@@ -90,4 +97,4 @@ def conclude(
     if failure:
         raise RecordingError(failure)
     if not finished:
-        raise KeyboardInterrupt
+        raise Stopped
