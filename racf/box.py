@@ -102,7 +102,9 @@ class Box:
                 f"at least {100 * LEAST_INSIDE:.0f} % must"
             )
         if inside > MOST_OF_IMAGE * width * height:
-            raise ValueError(f"target {self} fills the {width}x{height} image: a tracker needs some background around it")
+            raise ValueError(
+                f"target {self} fills the {width}x{height} image: a tracker needs some background around it"
+            )
         # Half a pixel is rounding.
         beyond = max(-self.x, -self.y, self.x + self.w - width, self.y + self.h - height)
         part = f"{100 - 100 * inside / self.area:.0f} % of target {self} lies outside the {width}x{height} image"
