@@ -10,17 +10,17 @@ import sys
 from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import av
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-
 WORDS = ("utc", "vehicle_mode", "target_contradiction", "mode", "reason", "notes")
 
 
-def columns(folder: Path) -> dict[str, NDArray[np.float64] | NDArray[np.str_]]:
+def columns(folder: Path) -> dict[str, NDArray[Any]]:
     """The ticks by column, `ticks["t_s"]` for one: numbers, NaN for an empty field, and texts in those of WORDS."""
     with (folder / "ticks.csv").open(newline="", encoding="utf-8") as file:
         names, *rows = csv.reader(file)

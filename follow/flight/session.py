@@ -47,7 +47,7 @@ def keep_flight(out: Path, terminal: Terminal) -> None:
 
 
 def keep_other_flight(out: Path, flown: Figures, terminal: Terminal) -> None:
-    """Move the recording in `out` aside, unless it is of the simulation that `flown` names, which can be flown again."""
+    """Move the recording in `out` aside, unless it is of the simulation that `flown` names: that can be flown again."""
     try:
         before = cast(Mapping[str, object], json.loads((out / "summary.json").read_text(encoding="utf-8")))
         same = all(before.get(name) == value for name, value in flown.items())
