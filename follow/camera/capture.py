@@ -7,6 +7,7 @@ counts for its frame, however long the decoder keeps it.
 
 import queue
 import threading
+from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -29,6 +30,13 @@ SILENT_S = 2.0  # read timeout for a sender that died; the gate has stopped by t
 WAITING_PACKETS = 3  # behind by more, images are decoded but not converted, and a later key frame is jumped to
 MOST_PACKETS = 300  # waiting: 10 s at 30 frames/s; then all are dropped up to the next key frame
 UNSTAMPED = frozenset({"mpjpeg", "mjpeg", "h264", "hevc", "rawvideo", "m4v", "lavfi", "image2pipe", "jpeg_pipe"})
+HELD_PACKETS = {"mpegts": 2, "h264": 1, "hevc": 1, "mjpeg": 1, "m4v": 1, "rtsp": 1, "sdp": 1, "rtp": 1}
+"""By format: how many more packets FFmpeg reads before it gives one, because only the next one's beginning ends it.
+
+Of a transport stream both the packet (PES) and then the coded frame end so.  A frame came when the packet was read that
+is as many before its own.
+"""
+WHOLE_IN_RTP = frozenset({"mjpeg"})  # codecs whose frame a marker ends in RTP
 LOW_DELAY = 0x80000  # AV_CODEC_FLAG_LOW_DELAY
 QUICK = {"fflags": "nobuffer", "flags": "low_delay", "analyzeduration": "500000", "fpsprobesize": "0"}
 MAX_DELAY_US = "50000"  # RTP: how long a packet is waited for that another overtook; FFmpeg's default is 0.5 s
@@ -66,16 +74,15 @@ class _Packets:
 
 
 class StreamCapture:
-    """A device or stream that FFmpeg opens.  `arrived` gives the arrival of the packet just read, if not now."""
+    """A device, stream or file that FFmpeg opens; `taken` tells when a frame was taken, if not its stream's stamps."""
 
     def __init__(
         self,
         container: Any,
         clock: Callable[[], float],
-        arrived: Callable[[], float] | None = None,
         taken: FrameClock | None = None,
     ) -> None:
-        self._container, self._clock, self._arrived = container, clock, arrived or clock
+        self._container, self._clock = container, clock
         stream = container.streams.best("video")
         if stream is None:
             container.close()
@@ -118,13 +125,15 @@ class StreamCapture:
 
     def _read(self) -> None:
         """The reading thread: packets with their arrival until the source breaks."""
-        why = "it ended"
+        why, held = "it ended", held_packets(self._container.format.name, self._stream.codec_context.name)
+        read_t_s = deque([self._clock()], maxlen=held + 1)
         try:
             for packet in self._container.demux(self._stream):
                 if self._packets.closing.is_set():
                     break
+                read_t_s.append(self._clock())
                 if packet.size:
-                    self._packets.waiting.put((packet, self._arrived()))
+                    self._packets.waiting.put((packet, read_t_s[0]))
                 if self._packets.waiting.qsize() > MOST_PACKETS:
                     self._drop_waiting()
         except av.error.ExitError:
@@ -182,6 +191,12 @@ class StreamCapture:
             self._reader.join(timeout=SILENT_S + 1.0)
         if self._reader is None or not self._reader.is_alive():
             self._container.close()
+
+
+def held_packets(format_: str, codec: str) -> int:
+    """How many packets FFmpeg holds back of a format and codec."""
+    whole = format_ in ("rtsp", "sdp", "rtp") and codec in WHOLE_IN_RTP
+    return 0 if whole else HELD_PACKETS.get(format_, 0)
 
 
 class KernelClock:

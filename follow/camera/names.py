@@ -75,6 +75,11 @@ def is_live(source: str) -> bool:
     return _kind(source) is not None
 
 
+def is_camera(source: str) -> bool:
+    """Whether a source shows the world: a live one that FFmpeg does not draw."""
+    return _kind(source) not in (None, CameraKind.LAVFI)
+
+
 def _kind(source: str) -> CameraKind | None:
     if source.partition("?")[0].isdigit() or source.startswith("/dev/"):
         return CameraKind.DEVICE

@@ -30,7 +30,6 @@ SOI, EOI = (
     b"\xff\xd8",
     b"\xff\xd9",
 )  # JPEG's start and end of image; within the coded data 0xff is followed by 0x00 or a restart marker
-BARE = ("h264", "hevc", "mjpeg", "m4v")  # FFmpeg's names of streams without a container
 BARE_FPS = "30"  # a bare stream's nominal rate: its stamps are not used
 
 
@@ -40,7 +39,7 @@ class RunningProgram:
     def __init__(self, name: CameraName, clock: Callable[[], float]) -> None:
         self._name, self._clock = name, clock
         self.last_error = ""
-        self.read_t_s = self.before_t_s = clock()
+        self.read_t_s = clock()
         self.timeout_s = OPEN_S
         try:
             words = shlex.split(name.address)
@@ -78,10 +77,7 @@ class RunningProgram:
         if not select.select([self._output], [], [], self.timeout_s)[0]:
             raise CameraError(f"nothing came for {self.timeout_s:g} s{self.said()}")
         data = os.read(self._output, min(size, CHUNK))
-        now_t_s = self._clock()
-        if now_t_s - self.read_t_s > 1e-3:  # a new burst, not the rest of the last one
-            self.before_t_s = self.read_t_s
-        self.read_t_s = now_t_s
+        self.read_t_s = self._clock()
         return data
 
     def said(self) -> str:
@@ -128,10 +124,7 @@ class ProgramCapture:
     def __init__(self, name: CameraName, program: RunningProgram, clock: Callable[[], float]) -> None:
         self._name, self._program = name, program
         self._container = self._open()
-        # A bare stream's packet is known to be whole only when the next one begins.
-        bare = self._container.format.name in BARE
-        arrived = (lambda: program.before_t_s) if bare else (lambda: program.read_t_s)
-        self._capture = StreamCapture(self._container, clock, arrived)
+        self._capture = StreamCapture(self._container, clock)
         self.size = self._capture.size
 
     def _open(self) -> Any:

@@ -111,7 +111,8 @@ class RunCommand:
     """Address of the autopilot: udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, serial:DEVICE:BAUD, or
     mavsdk+udpin://HOST:PORT for MAVSDK's connection."""
     camera: str = "0"
-    """Camera: a device (0, /dev/video0), a stream (rtsp://HOST/PATH), a file, or a drawn scene (scene:NAME)."""
+    """Camera: a device (0, /dev/video0?size=1280x720&fps=30&format=mjpeg), a stream (rtsp://, udp://, http://), an .sdp
+    file, a program's output (exec:PROGRAM), picamera2, a file, or a drawn scene (scene:NAME); see docs/cameras.md."""
     target: str | None = None
     """Box of the target, x,y,w,h in 0-based pixels of the first frame. Default: a drawn scene's own target."""
     aim: bool = False
@@ -165,7 +166,7 @@ class DoctorCommand:
     """
 
     camera: str | None = None
-    """Camera: a device (0, /dev/video0), a stream (rtsp://HOST/PATH) or a file. Default: not checked."""
+    """Camera, as for `follow run`, or a file. Default: not checked."""
     link: str | None = None
     """Address of the autopilot, as for `follow run`. Default: not checked."""
     system_id: int | None = None

@@ -16,6 +16,7 @@ from follow.camera.video import open_replay
 from follow.cli.commands import DoctorCommand
 from follow.flight import preflight as doctor
 from follow.flight.finding import Finding, Health, NotFitError, is_fit, places
+from follow.flight.image_checks import check_images
 from follow.flight.session import acquire
 from follow.flight.vehicle_checks import check_sending, check_signing, check_vehicle
 from follow.link import LinkError
@@ -77,7 +78,7 @@ def look(source: str, tracker: str, out: Path, terminal: Terminal) -> list[Findi
         timed = acquire(tracker, Box.around(columns / 2, rows / 2, rows / BOX_SHARE, rows / BOX_SHARE))
         timed.update(kept[0].image)  # its first frame starts it
         fps = (len(kept) - 1) / (kept[-1].t_s - kept[0].t_s)
-        findings.append(doctor.check_tracker(timed.update, kept[1:], fps))
+        findings += [check_images(kept), doctor.check_tracker(timed.update, kept[1:], fps)]
     return findings
 
 

@@ -13,7 +13,7 @@ from typing import Any
 from follow.camera import Camera
 from follow.camera.calibration import described
 from follow.camera.live import LiveVideo
-from follow.camera.names import is_live
+from follow.camera.names import is_camera, is_live
 from follow.camera.realtime import RealTime
 from follow.camera.video import open_replay
 from follow.cli.commands import RunCommand, box_in, box_of, lens_of
@@ -112,7 +112,7 @@ def check(command: RunCommand) -> None:
 
 def inspect(command: RunCommand, link: MavlinkLink) -> list[Finding]:
     """The checks before this flight."""
-    camera, signs = is_live(command.camera), command.signing_key is not None
+    camera, signs = is_camera(command.camera), command.signing_key is not None
     return preflight(link, command.out, signs=signs, live_camera=camera, simulated=command.simulated)
 
 

@@ -1,6 +1,6 @@
 """Stands in for rpicam-vid and gst-launch: numbered frames on standard output at the pace of a camera.
 
-python -m tests.support.camera_program h264|mjpeg|yuv420p|mpegts [--frames N] [--fail TEXT] [--child FILE]
+python -m tests.support.camera_program h264|mjpeg|yuv420p|mpegts [--frames N] [--fail TEXT] [--child FILE] [--log FILE]
 """
 
 import argparse
@@ -24,6 +24,9 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=1 << 30)
     parser.add_argument("--fail", default="")
     parser.add_argument("--child")
+    parser.add_argument(
+        "--log", help="gets a line with our process id and one with when the first frame was due, at each start"
+    )
     options = parser.parse_args()
     sys.stderr.write("starting the camera\n")
     if options.child:
@@ -40,6 +43,9 @@ def main() -> None:
     if not container:
         maker.time_base, maker.framerate = Fraction(1, 30), Fraction(30)
     began_s = time.monotonic()
+    if options.log:
+        with open(options.log, "a") as file:
+            file.write(f"{os.getpid()}\n{began_s}\n")
     for n in range(options.frames):
         time.sleep(max(began_s + n / FPS - time.monotonic(), 0.0))
         frame = av.VideoFrame.from_ndarray(numbered(n), format="bgr24").reformat(format=maker.pix_fmt)
