@@ -11,6 +11,9 @@ LEAST_INSIDE = 0.5
 MOST_OF_IMAGE = 0.9
 """Largest fraction of the image that a first box may fill."""
 
+CLEAR_PX = 10.0
+"""Least side of a target that is held reliably: a pixel of error is a tenth of it, and as much of the distance."""
+
 
 @dataclass(frozen=True, slots=True)
 class Box:
@@ -109,3 +112,13 @@ class Box:
         beyond = max(-self.x, -self.y, self.x + self.w - width, self.y + self.h - height)
         part = f"{100 - 100 * inside / self.area:.0f} % of target {self} lies outside the {width}x{height} image"
         return f"{part}: the tracker starts with what it sees of it" if beyond > 0.5 else ""
+
+
+def tiny_line(box: Box) -> str:
+    """One sentence for a person about a target with a side below CLEAR_PX; "" for one that is large enough."""
+    if min(box.w, box.h) >= CLEAR_PX:
+        return ""
+    return (
+        f"the target is only {box.w:.4g}x{box.h:.4g} pixels; it needs at least {CLEAR_PX:g} on each side to be held "
+        "and for its distance: go closer, or use a longer lens or a higher resolution"
+    )

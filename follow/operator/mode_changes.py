@@ -1,14 +1,15 @@
-"""Each change of mode as a line for a person, the same in a flight, a replay and a simulation."""
+"""What a person is told of the rounds, the same in a flight, a replay and a simulation."""
 
 from dataclasses import dataclass
 
 from follow.messages import NEVER, Mode, Notify, Reason, Tick
 from follow.safety.modes import STREAMING
+from racf.box import tiny_line
 
 
 @dataclass(slots=True)
 class ModeChanges:
-    """Reports a new mode, or a new reason for it, once, with the time since the first round."""
+    """Reports a new mode, or a new reason for it, once, with the time since the first round; a tiny target once."""
 
     report: Notify
     mode: Mode = Mode.OBSERVE
@@ -16,6 +17,7 @@ class ModeChanges:
     began_t_s: float = NEVER
     streamed: bool = False  # whether FOLLOW has begun
     ended: str = ""  # when the last stream of setpoints ended, and why; empty while one is sent, or before the first
+    tiny_told: bool = False
 
     def see(self, tick: Tick) -> None:
         """Take one round."""
@@ -23,9 +25,12 @@ class ModeChanges:
         self.mode, self.reason = tick.decision.mode, tick.decision.reason
         if self.began_t_s == NEVER:
             self.began_t_s = tick.state.t_s
+        at_s = tick.state.t_s - self.began_t_s
+        if not self.tiny_told and tick.track is not None and tick.track.found and (line := tiny_line(tick.track.box)):
+            self.tiny_told = True
+            self.report(f"{at_s:.1f} s: {line}")
         if (self.mode, self.reason) == before:
             return
-        at_s = tick.state.t_s - self.began_t_s
         self.report(f"{at_s:.1f} s: {self.mode.value} ({self.reason}), vehicle in {tick.state.mode or 'no known mode'}")
         if self.mode in STREAMING:
             self.streamed, self.ended = True, ""

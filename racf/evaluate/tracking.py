@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from racf.box import Box
+from racf.box import Box, tiny_line
 from racf.errors import UsageError
 from racf.evaluate.boxfiles import read_boxes, write_boxes
 from racf.evaluate.images import frames_of
@@ -115,11 +115,10 @@ def track(
     """Follow `target` from the first image of a video file or folder of images to the last.
 
     `overlay` names a video to write, in which the tracker's box (green, red while it is not found), its confidence
-    and the annotation `truth` (white, 1-based) are drawn.  `notify` is told if the target reaches out of the image.
-    Raises ValueError or OSError for what cannot be read,
-    TrackerError if the tracker fails.
+    and the annotation `truth` (white, 1-based) are drawn.  `notify` is told if the target reaches out of the image,
+    and once if it is tiny.  Raises ValueError or OSError for what cannot be read, TrackerError if the tracker fails.
     """
-    tracker, tracks, times = spec.build(), list[Track](), list[float]()
+    tracker, tracks, times, tiny = spec.build(), list[Track](), list[float](), ""
     with _writer(overlay, source) as write:
         for image in frames_of(source):
             if not tracks and (line := _start(target, image)):
@@ -128,6 +127,8 @@ def track(
                 began = perf_counter()
                 answer = tracker.update(image) if tracks else tracker.init(image, target)
                 times.append(1000 * (perf_counter() - began))
+            if not tiny and answer.found and (tiny := tiny_line(answer.box)):
+                notify(f"frame {len(tracks)}: {tiny}")
             if write is not None:
                 row = truth[len(tracks)] if truth is not None and len(tracks) < len(truth) else None
                 write.put(drawn(image, answer, row))
