@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 
 from follow.messages import LANDED_AGE_S, BatteryLevel, Cause, Estimate, Landed, Reason, VehicleState
+from follow.safety.heights import least_height_m
 from follow.safety.limits import Limits
 from follow.safety.modes import open_modes
 
@@ -81,7 +82,7 @@ def hindrances(
         found.append(Hindrance(f"the vehicle is in {state.mode or 'no known mode'}: switch to {instead}"))
     if stopping is not None:
         found.append(Hindrance(str(stopping)))
-    if state.landed is Landed.IN_AIR and not -state.down_m >= limits.floor_m:
+    if state.landed is Landed.IN_AIR and not least_height_m(state) >= limits.floor_m:
         found.append(Hindrance(f"the height is below the floor of {limits.floor_m:g} m"))
     fresh = abs(state.t_s - state.landed_t_s) <= LANDED_AGE_S
     if not (state.landed is Landed.IN_AIR and fresh) and stopping is None:

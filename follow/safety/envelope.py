@@ -19,10 +19,8 @@ from follow.safety.distance import (
     limit_descent,
     limit_to_last_seen,
 )
+from follow.safety.heights import greatest_height_m, least_height_m
 from follow.safety.limits import Limits
-
-RANGEFINDER_S = 1.0
-"""A rangefinder's height does not count when it is older than this."""
 
 RETURN_M_S = 0.5
 """Maximum speed back from beyond a border: the vehicle drifted there, or FOLLOW began there."""
@@ -62,17 +60,10 @@ def limit_to_fence(north: float, east: float, out: tuple[float, float], limits: 
     return north - excess * n, east - excess * e
 
 
-def lowest_height_m(state: VehicleState) -> float:
-    """The lower of the heights by the autopilot's position and by a rangefinder, if there is a fresh one."""
-    ranged = 0 <= state.t_s - state.above_ground_t_s <= RANGEFINDER_S
-    return min(-state.down_m, state.above_ground_m) if ranged else -state.down_m
-
-
 def limit_altitude(down: float, target: Worst, state: VehicleState, limits: Limits) -> float:
     """Limit the downward speed to stay inside the altitude band, and the climb above the target."""
-    height = -state.down_m
-    fastest_down = border_speed(lowest_height_m(state) - limits.floor_m, limits.climb_accel_m_s2)
-    fastest_up = border_speed(limits.ceiling_m - height, limits.climb_accel_m_s2)
+    fastest_down = border_speed(least_height_m(state) - limits.floor_m, limits.climb_accel_m_s2)
+    fastest_up = border_speed(limits.ceiling_m - greatest_height_m(state), limits.climb_accel_m_s2)
     over_target = approach_speed(max(limits.above_target_m - target.above_m, 0.0), limits.climb_accel_m_s2)
     return min(max(down, -min(fastest_up, over_target)), fastest_down)
 

@@ -92,6 +92,38 @@ def test_the_first_setpoint_is_the_present_velocity():
     assert first.yaw_rate_rad_s == pytest.approx(0.1)
 
 
+@pytest.mark.parametrize("error_m", [3.0, -3.0, 8.0, -8.0, 20.0, -20.0])
+@pytest.mark.parametrize("known_by", ["home", "report", "rangefinder"])
+def test_the_floor_is_above_the_ground_wherever_the_estimators_zero_lies(error_m, known_by):
+    """The vehicle truly sinks from 6 m; its z is wrong by `error_m`."""
+    safety, t_s = engaged()
+    height, lowest = 6.0, 6.0
+    for i in range(1, round(20.0 / DT)):
+        now = t_s + i * DT
+        down_m_s = safety.gate.down.v[0]
+        height -= down_m_s * DT
+        lowest = min(lowest, height)
+        known = {
+            "home": {"home_t_s": now, "home_down_m": error_m},
+            "report": {"above_home_t_s": now, "above_home_m": height},
+            "rangefinder": {"above_ground_t_s": now, "above_ground_m": height},
+        }[known_by]
+        state = flying(now, down_m=error_m - height, down_m_s=down_m_s, **known)
+        safety.allow(Setpoint(down_m_s=2.0), seen(now), state, now)
+    assert lowest >= LIMITS.floor_m - 0.05
+    if error_m < 0.0:  # else the target's head, by z alone as its ground is not known here, forbids the descent
+        assert lowest <= LIMITS.floor_m + 0.5
+
+
+@pytest.mark.parametrize("error_m", [3.0, 8.0])
+def test_follow_is_not_refused_because_the_estimators_zero_lies_low(error_m):
+    safety = Safety(LIMITS)
+    safety.order(Order.FOLLOW)
+    state = flying(0.1, down_m=error_m - 6.0, home_t_s=0.1, home_down_m=error_m, in_control=False, mode="HOLD")
+    safety.allow(HOVER, seen(0.1), state, 0.1)
+    assert safety.allow(HOVER, seen(0.2), replace(state, t_s=0.2, heartbeat_t_s=0.2), 0.2).mode == "engage"
+
+
 @pytest.mark.parametrize(("height", "sink"), [(LIMITS.floor_m + 0.2, 2.0), (LIMITS.floor_m + 1.0, 1.0)])
 def test_engaging_does_not_keep_up_a_descent_through_the_floor(height, sink):
     safety = Safety(LIMITS)
