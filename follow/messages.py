@@ -248,6 +248,8 @@ class Cause(str, Enum):
     DISARMED = "the vehicle is disarmed"
     NOT_SEEN = "target not seen for {seconds:.1f} s"
     SEEN = "target seen"
+    OUT_OF_REACH = "the target is out of reach: {what}"
+    IN_REACH = "the target is in reach again"
     STALE = "{what}"
     FRESH = "the data are fresh again"
     STOPPED = "stopped: {what}"

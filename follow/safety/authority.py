@@ -70,6 +70,8 @@ class Facts:
     unseen_s: float
     findings: tuple[Hindrance, ...]
     stopping: Reason | None = None
+    beyond: str = ""  # why the target is out of reach
+    is_given_up: bool = False  # ... for longer than its timeout
     is_still: bool = True
     instruction: Instruction = NO_INSTRUCTION
 
@@ -98,11 +100,21 @@ def judged(now: Authority, facts: Facts, limits: Limits) -> Authority:
         reason = verdict
     elif mode is Mode.OBSERVE is now.mode and findings and shown != now.shown:
         reason = Reason(Cause.NOT_READY, shown)
+    elif mode is Mode.FOLLOW is now.mode:
+        reason = reach_reason(now, facts)
     if (granted and mode in STREAMING) or (verdict is not None and verdict.cause is not Cause.ORDER_WAITS):
         now = replace(now, order=None)
     if mode is not now.mode:
         return entered(now, mode, reason or now.reason, facts)
     return now if reason is None else replace(now, reason=reason, shown=shown)
+
+
+def reach_reason(now: Authority, facts: Facts) -> Reason | None:
+    """The reason of FOLLOW as its target gets out of reach, and in reach again; None while nothing changes."""
+    was_beyond = now.reason.cause is Cause.OUT_OF_REACH
+    if facts.beyond and not was_beyond:
+        return Reason(Cause.OUT_OF_REACH, facts.beyond)
+    return Reason(Cause.IN_REACH) if was_beyond and not facts.beyond else None
 
 
 def entered(now: Authority, mode: Mode, reason: Reason, facts: Facts) -> Authority:
@@ -213,7 +225,8 @@ def target_events(facts: Facts, limits: Limits) -> list[Found]:
     """Whether the target is seen, and for how long it was not."""
     unseen_s = facts.unseen_s
     if unseen_s <= limits.coast_after_s:
-        return [(Event.SEEN, Reason(Cause.SEEN))]
+        beyond = [(Event.OUT_OF_REACH, Reason(Cause.OUT_OF_REACH, facts.beyond))] if facts.is_given_up else []
+        return [(Event.SEEN, Reason(Cause.SEEN)), *beyond]
     reason = Reason(Cause.NOT_SEEN, seconds=unseen_s)
     found = [(Event.UNSEEN, reason)]
     if unseen_s > limits.search_after_s:

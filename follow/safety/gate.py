@@ -29,6 +29,7 @@ from follow.safety.envelope import Surroundings, limit_altitude, limit_velocity
 from follow.safety.limits import Limits
 from follow.safety.modes import FLYING, STREAMING
 from follow.safety.ramps import VelocityRamp, YawRateRamp
+from follow.safety.reach import TargetReach, given_up, watched_reach
 from follow.safety.response import Response, disobeying, watched
 
 
@@ -49,6 +50,7 @@ class Gate:
     last_seen: Sighting | None = None
     resets: int = 0
     response: Response = field(default_factory=Response)
+    reach: TargetReach = field(default_factory=TargetReach)
 
     @property
     def mode(self) -> Mode:
@@ -145,9 +147,12 @@ def decide(
     gate = replace(gate, authority=authority, t_s=t_s)
     if authority.mode not in STREAMING:
         return gate, Decision(None, authority.mode, notes, authority.reason, authority.release)
-    velocity, turn, held = (0.0, 0.0, 0.0), 0.0, ()
+    velocity, turn, held, reach = (0.0, 0.0, 0.0), 0.0, (), TargetReach()
     if is_fresh:
         velocity, turn, held = permitted(gate, desired, target, state, unseen_s, limits)
+        if gate.mode is Mode.FOLLOW:
+            reach = watched_reach(gate.reach, desired, velocity[:2], target, state, limits)
+    gate = replace(gate, reach=reach)
     gate = ramped(gate, velocity, turn, dt, limits)
     setpoint = body_setpoint(gate, state.yaw_rad)
     return gate, Decision(setpoint, authority.mode, (*notes, *held), authority.reason, authority.release)
@@ -168,7 +173,8 @@ def facts(
     if target is not UNKNOWN and distance_m(target) < limits.min_standoff_m:
         near = f"the target may be nearer than {limits.min_standoff_m:g} m"
         found = (*found, Hindrance(near, passing=True))
-    return Facts(state, old, unseen_s, found, stopping, speed(gate) < STILL_M_S, instruction)
+    beyond, over = gate.reach.told, given_up(gate.reach, state, limits)
+    return Facts(state, old, unseen_s, found, stopping, beyond, over, speed(gate) < STILL_M_S, instruction)
 
 
 def remembered(gate: Gate, target: Worst, estimate: Estimate, state: VehicleState, dt_s: float, is_fresh: bool) -> Gate:

@@ -44,6 +44,7 @@ class Event(str, Enum):
     UNSEEN = "target not seen for coast_after_s"
     LONG_UNSEEN = "target not seen for search_after_s"
     GIVEN_UP = "target not seen for give_up_after_s"
+    OUT_OF_REACH = "target out of reach for out_of_reach_s"
     HOLD_OVER = "hovered for hold_timeout_s"
     STOPPED = "stopped"
     TIMEOUT = "not obeyed for engage_timeout_s"
@@ -71,6 +72,7 @@ ROWS: tuple[Row, ...] = (
     ((Mode.ENGAGE,), ANY, Event.STAYED_HINDERED, Mode.ENDED),
     ((Mode.ENGAGE,), ANY, Event.TIMEOUT, Mode.ENDED),
     ((Mode.FOLLOW,), (Standing.OURS,), Event.UNSEEN, Mode.COAST),
+    ((Mode.FOLLOW,), (Standing.OURS,), Event.OUT_OF_REACH, Mode.HOLD),
     ((Mode.COAST,), (Standing.OURS,), Event.SEEN, Mode.FOLLOW),
     ((Mode.COAST,), (Standing.OURS,), Event.LONG_UNSEEN, Mode.SEARCH),
     ((Mode.SEARCH,), (Standing.OURS,), Event.SEEN, Mode.FOLLOW),

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from follow.messages import HOVER, Cause, Mode, Order, Setpoint
+from follow.messages import HOVER, Cause, Estimate, Mode, Order, Setpoint
 from follow.safety.distance import (
     NOTICE_S,
     SPRINT_M_S,
@@ -205,3 +205,46 @@ def test_an_external_contradiction_brakes_and_then_ends():
         modes.append(decision.mode)
     assert list(dict.fromkeys(modes)) == [Mode.BRAKE, Mode.ENDED]
     assert str(decision.reason) == "stopped: the image does not move"
+
+
+def outrun(fence_m=300.0, run_m_s=9.0, seconds=120.0):
+    """A gate whose servo wants to fly at the target's speed and more; the (time, mode, reason) of each change."""
+    limits = replace(LIMITS, fence_m=fence_m, clear_distance=0.0)
+    safety, t_s = engaged()
+    safety.limits = limits
+    north, target, changes = 0.0, 12.0, []
+    for i in range(1, round(seconds / DT)):
+        now = t_s + i * DT
+        north += safety.gate.horizontal.v[0] * DT
+        target += run_m_s * DT if i * DT < 60.0 else 0.0
+        e = Estimate(now, 0.0, 0.4, target - north, 0.5, north_m_s=run_m_s, seen_t_s=now)
+        state = flying(now, north_m=north, **obeyed(safety))
+        wanted = Setpoint(forward_m_s=run_m_s + 0.35 * (target - north - 12.0))
+        decision = safety.allow(wanted, e, state, now)
+        key = (decision.mode.value, decision.reason.cause)
+        if not changes or changes[-1][1:] != key:
+            changes.append((i * DT, *key))
+        if decision.setpoint is None:
+            break
+    return changes, target - north
+
+
+def test_a_target_that_outruns_the_vehicle_is_told_and_given_up_in_hold_which_ends():
+    changes, _ = outrun()
+    assert [change[1] for change in changes] == ["follow", "follow", "hold", "ended"]
+    assert [change[2] for change in changes][1:] == [Cause.OUT_OF_REACH, Cause.OUT_OF_REACH, Cause.HOLD_OVER]
+    told_s, hold_s, ended_s = (change[0] for change in changes[1:])
+    assert 5.0 <= told_s < 10.0
+    assert hold_s - told_s == pytest.approx(LIMITS.out_of_reach_s - LIMITS.reach_after_s, abs=2.0)
+    assert ended_s - hold_s == pytest.approx(LIMITS.hold_timeout_s, abs=0.1)
+
+
+def test_a_target_beyond_the_fence_is_followed_at_a_distance_and_taken_again():
+    changes, _ = outrun(fence_m=100.0, run_m_s=3.0, seconds=60.0)
+    assert ("follow", Cause.OUT_OF_REACH) in [change[1:] for change in changes]
+
+
+def test_a_target_that_is_caught_up_with_at_the_speed_limit_is_in_reach():
+    changes, range_m = outrun(run_m_s=7.0, seconds=55.0)
+    assert [change[1] for change in changes] == ["follow"]
+    assert range_m < 20.0

@@ -1,0 +1,63 @@
+"""Can the vehicle come to where the servo wants it?  A limit that keeps it from a target for seconds is told.
+
+A target that outruns the vehicle, or stands beyond the fence, is followed at a distance with a reason for the pilot,
+and given up after `out_of_reach_s`.  Pure functions.
+"""
+
+from dataclasses import dataclass
+
+from follow.geometry import ned_to_heading
+from follow.messages import Setpoint, VehicleState
+from follow.safety.distance import Worst
+from follow.safety.limits import Limits
+
+CUT_M_S = 0.5
+"""The limits take at least this much of the desired speed towards the target: less is their ordinary shaping."""
+
+LAG_M_S = 1.0
+"""The vehicle flies what it may if it is no slower than this below it: before, it gains speed and says nothing."""
+
+FALLEN_M = 0.3
+"""The range must fall by more than this in `reach_after_s`, or the vehicle does not come nearer."""
+
+TOLD = "its limits keep the vehicle from it"
+
+
+@dataclass(frozen=True, slots=True)
+class TargetReach:
+    """Since when a limit keeps the vehicle from its target (None: none does), and whether that is told.
+
+    The range is compared with `mark_m`, which it was at `mark_s`.
+    """
+
+    since_s: float | None = None
+    mark_s: float = 0.0
+    mark_m: float = 0.0
+    told: str = ""
+
+
+def watched_reach(
+    now: TargetReach,
+    desired: Setpoint,
+    permitted: tuple[float, float],
+    target: Worst,
+    state: VehicleState,
+    limits: Limits,
+) -> TargetReach:
+    """The reach after a round in FOLLOW; `permitted` is the NED velocity that the limits left of the desired one."""
+    wanted = ned_to_heading(desired.forward_m_s, desired.right_m_s, target.sight_rad - state.yaw_rad)[0]
+    left = ned_to_heading(*permitted, target.sight_rad)[0]
+    flown = ned_to_heading(state.north_m_s, state.east_m_s, target.sight_rad)[0]
+    if not (desired.is_finite() and wanted - max(left, 0.0) > CUT_M_S and flown > left - LAG_M_S):
+        return TargetReach()
+    if now.since_s is None:
+        return TargetReach(state.t_s, state.t_s, target.range_m)
+    if state.t_s - now.mark_s < limits.reach_after_s:
+        return now
+    told = TOLD if target.range_m > now.mark_m - FALLEN_M else ""
+    return TargetReach(now.since_s if told else state.t_s, state.t_s, target.range_m, told)
+
+
+def given_up(now: TargetReach, state: VehicleState, limits: Limits) -> bool:
+    """Whether the target is out of reach for `out_of_reach_s`."""
+    return bool(now.told) and now.since_s is not None and state.t_s - now.since_s >= limits.out_of_reach_s
