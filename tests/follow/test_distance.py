@@ -245,6 +245,6 @@ def test_a_target_beyond_the_fence_is_followed_at_a_distance_and_taken_again():
 
 
 def test_a_target_that_is_caught_up_with_at_the_speed_limit_is_in_reach():
-    changes, range_m = outrun(run_m_s=7.0, seconds=55.0)
+    changes, range_m = outrun(fence_m=1000.0, run_m_s=7.0, seconds=55.0)
     assert [change[1] for change in changes] == ["follow"]
     assert range_m < 20.0
