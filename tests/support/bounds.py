@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass
 
 from follow.control.image_motion import SPAN_S, WAIT_S
-from follow.safety.consistency import SHORT_S
+from follow.safety.consistency import LONG_S, SHORT_S
 from follow.safety.limits import Limits
 from follow.safety.response import LAG_S
 
@@ -49,6 +49,9 @@ FASTEST_M_S = LIMITS.speed_m_s
 CONTRADICTED_S = SHORT_S + SPAN_S + WAIT_S
 """A frozen image is noticed after the window of intervals, the one that the fault cut, and the wait for telemetry."""
 
+RIDING_S = LONG_S + SPAN_S + WAIT_S
+"""A box that rides on the vehicle shows by small wobbles, for which the longer window may be needed."""
+
 STALE_FRAME_S = LIMITS.frame_age_s
 STALE_POSITION_S = LIMITS.position_age_s
 STALE_HEARTBEAT_S = LIMITS.heartbeat_age_s + HEARTBEAT_S / 4  # it comes four times a second, as requested
@@ -79,6 +82,7 @@ STOPS = {
     "remote control lost": stop(RUN_M_S, REMOTE_TOLD_S),
     "target lost": coast(RUN_M_S),
     "contradicted by the image's motion": stop(RUN_M_S, CONTRADICTED_S),
+    "contradicted by the box's motion": stop(RUN_M_S, RIDING_S),
     "the autopilot's own avoidance": stop(RUN_M_S, AVOIDED_S),
     "stale frame at the highest speed": stop(FASTEST_M_S, STALE_FRAME_S),
     "stale position at the highest speed": stop(FASTEST_M_S, STALE_POSITION_S),

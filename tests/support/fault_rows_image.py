@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from follow.messages import Frame
 from racf.box import Box
 from racf.track import Track
-from tests.support.bounds import CONTRADICTED_S, RUN_M_S, stop
+from tests.support.bounds import CONTRADICTED_S, RIDING_S, RUN_M_S, stop
 from tests.support.fault_expectations import Expectation, stands_still, stops
 from tests.support.fault_rig import Rig
 from tests.support.fault_rows import Row
@@ -92,14 +92,14 @@ def circle(t_s: float) -> tuple[float, float]:
     return 12.0 * math.cos(angle), 12.0 * math.sin(angle)
 
 
-VIEW: dict[str, object] = {"view": True, "fault_t_s": 11.0, "end_t_s": 21.0}
+VIEW: dict[str, object] = {"view": True, "fault_t_s": 15.0, "end_t_s": 26.0}
 
 
-def flights() -> dict[str, tuple[dict[str, object], Expectation]]:
+def flights(noticed_s: float) -> dict[str, tuple[dict[str, object], Expectation]]:
     """What the vehicle does as the fault comes, and what must follow."""
-    bound = stop(RUN_M_S, CONTRADICTED_S)
+    bound = stop(RUN_M_S, noticed_s)
     return {
-        "hovering": ({"path": lambda _t_s: (12.0, 0.0), **VIEW, "end_t_s": 31.0}, stands_still(10.0)),
+        "hovering": ({"path": lambda _t_s: (12.0, 0.0), **VIEW, "end_t_s": 35.0}, stands_still(10.0)),
         "turning": ({"path": circle, **VIEW}, stops(bound)),
         "flying": (VIEW, stops(bound)),
     }
@@ -108,5 +108,5 @@ def flights() -> dict[str, tuple[dict[str, object], Expectation]]:
 IMAGE_ROWS = tuple(
     Row(f"{fault}, {how}", inject, expect, rig, fast=how == "flying" and fault.startswith("two"))
     for fault, inject in FAULTS.items()
-    for how, (rig, expect) in flights().items()
+    for how, (rig, expect) in flights(RIDING_S if inject is rides else CONTRADICTED_S).items()
 )
