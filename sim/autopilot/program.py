@@ -3,7 +3,7 @@
     python -m sim.autopilot --autopilot px4 --link udpout:127.0.0.1:14540 --gcs udpout:127.0.0.1:14550
 
 The application listens at the first address, a ground station at the second.  Mode changes and the autopilot's messages
-are printed on standard error.
+are printed on standard error; in a terminal, keys are the pilot's (h lists them).
 """
 
 import contextlib
@@ -21,6 +21,7 @@ import tyro
 
 from follow.link.signing import EPOCH_S, UNITS_PER_S, read_key
 from follow.messages import Autopilot, Notify
+from sim.autopilot.keys import Console, Pilot
 from sim.autopilot.system import AutopilotSystem
 from sim.dynamics import Vehicle, VehicleTruth, Wind
 
@@ -223,10 +224,18 @@ def main() -> None:
         except (ValueError, OSError) as error:
             report(str(error))
             sys.exit(2)
-        with contextlib.suppress(KeyboardInterrupt):
+        with contextlib.suppress(KeyboardInterrupt), Console() as console:
+            pilot = Pilot(system.flight, console.report)
+
+            def is_over() -> bool:
+                console.serve(pilot)
+                return pilot.leaves or 0.0 < options.seconds <= system.t_s
+
             remote = "on" if options.remote else "off"
-            report(
+            console.report(
                 f"{options.autopilot.value} {system.firmware} in {system.flight.mode} at {options.height_m:g} m, "
                 f"remote control {remote}; {', '.join(f'{name} {uri}' for name, uri in addresses.items())}"
             )
-            run(system, ports, lambda: 0.0 < options.seconds <= system.t_s, options.speedup, report)
+            if console.keyboard is not None:
+                console.report(pilot.help())
+            run(system, ports, is_over, options.speedup, console.report)

@@ -37,7 +37,7 @@ def free_port() -> int:
 def autopilot(rules: str, port: int) -> Iterator[None]:
     """The program itself, as a person starts it."""
     call = [sys.executable, "-m", "sim.autopilot", "--autopilot", rules, "--link", f"udpout:127.0.0.1:{port}"]
-    process = subprocess.Popen([*call, "--speedup", str(SPEEDUP)])
+    process = subprocess.Popen([*call, "--speedup", str(SPEEDUP)], stdin=subprocess.DEVNULL)
     try:
         yield
     finally:
