@@ -90,10 +90,15 @@ class GroundWord:
         return min(self.height_m, self.by_size_m) >= CLEAR_M
 
     def sigmas(self, size_std: float) -> float:
-        """By how many standard deviations source and size contradict each other, for a relative `size_std`."""
-        if self.clear:
-            return abs(math.log(self.height_m / self.by_size_m)) / math.hypot(self.ratio_std, size_std)
-        return abs(self.height_m - self.by_size_m) / math.hypot(self.std_m, max(self.by_size_m, CLEAR_M) * size_std)
+        """By how many standard deviations source and size contradict each other, for a relative `size_std`.
+
+        The larger of two: by the heights' ratio, and by their difference: a ratio to a very low one says little.
+        """
+        highest = max(self.height_m, self.by_size_m, CLEAR_M)
+        off = abs(self.height_m - self.by_size_m) / math.hypot(self.own_std_m, self.std_m, highest * size_std)
+        if not self.clear:
+            return off
+        return max(off, abs(math.log(self.height_m / self.by_size_m)) / math.hypot(self.ratio_std, size_std))
 
 
 def ground_word(f: JointFilter, camera_ned: Array, middle: float, ground_down_m: float, std_m: float) -> GroundWord:
@@ -146,7 +151,8 @@ class GroundSources:
     ) -> JointFilter:
         """The filter after what the sources say now; `size` is the prior's metres, relative deviation, and `middle`.
 
-        A source that contradicts the size's prior is not believed, and `contradiction` says so until it agrees.
+        A source that contradicts the prior is not believed, and `contradiction` says so until it agrees.  So the size
+        is a constant with a bound: `contradiction_sigmas` standard deviations of prior and source together.
         """
         here, velocity = pose.position_ned, np.array([pose.north_m_s, pose.east_m_s])
         size_m, size_std, middle = size
