@@ -21,12 +21,12 @@ def looked_for(f: JointFilter, seen_ned: Array, look: int) -> Array:
     if look % 2 == 0:
         return f.mean[:3]
     way = f.mean[:2] - seen_ned[:2]
-    length = max(float(np.linalg.norm(way)), 1e-3)
+    length = float(np.linalg.norm(way))
     std = math.sqrt(max(float(np.linalg.eigvalsh(f.covariance[:2, :2])[-1]), 0.0))
     aside = min(2 * std, LOOK_ASIDE_M)
     ahead = max(LOOK_ALONG * length, aside)
     reach, angle = math.sqrt((step + 0.5) / LOOKS), 2.4 * step  # the golden angle: as the seeds of a sunflower lie
-    course = way / length
+    course = way / length if length > 0.1 else np.array([1.0, 0.0])
     place = f.mean[:3].copy()
     place[:2] += reach * (
         ahead * math.cos(angle) * course + aside * math.sin(angle) * np.array([-course[1], course[0]])

@@ -141,6 +141,8 @@ class Target:
         f = self.carried(t_s)
         place = f.mean[:3]
         if t_s - self.seen_t_s > self.config.lost_after_s:
+            if any(track.found and self.sharp(track, lost=True) for _, track in self.waiting):
+                return None  # a candidate that waits for the attitude of its frame
             self.looks += 1
             place = looked_for(f, self.seen_ned, self.looks)
         pixels, depth = project(self.camera, self.rotation(pose), pose.position_ned, place[None, :])

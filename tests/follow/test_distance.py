@@ -186,6 +186,17 @@ def test_far_above_the_target_only_the_clear_distance_limits_the_closing_speed()
     assert closing_speed(above, replace(LIMITS, clear_distance=1.0)) == stopping_speed(3.0, LIMITS.accel_m_s2)
 
 
+@pytest.mark.parametrize(("speed", "accel", "standoff"), [(8.0, 2.5, 21.0), (15.0, 4.0, 44.0)])
+def test_the_stand_off_that_the_clear_distance_of_a_cyclist_or_car_needs(speed, accel, standoff):
+    """docs/hazards.md names these as the price of the rule that is off for them."""
+    limits = replace(LIMITS, accel_m_s2=accel)
+    assert (
+        closing_speed(Worst(0.0, standoff, 20.0, 0.0), limits)
+        >= speed
+        > closing_speed(Worst(0.0, standoff - 1.0, 20.0, 0.0), limits)
+    )
+
+
 def test_the_fence_is_about_home_and_does_not_move_with_orders():
     home = {"home_t_s": 0.0, "home_north_m": -290.0}
     safety, t_s = engaged(**home)

@@ -330,3 +330,42 @@ def test_footage_may_show_a_target_of_any_size(size, place):
         estimate = target.update(seen(box_of(place, state, size)), state, i * DT)
     assert not estimate.contradiction
     assert estimate.range_m == pytest.approx(place[0], rel=0.1)
+
+
+def test_a_lost_target_is_looked_for_around_its_way_and_a_candidate_is_not_left_before_it_is_judged():
+    """The attitude of a frame comes one frame late, so that a box is judged after the next look was chosen."""
+    target = Target(CAMERA, DOWN)
+    watch(target, lambda t: (12.0, 0.0), [hovering(i * DT) for i in range(60)])
+    aside = box_of((12.0, 3.0), hovering(0.0))  # 3 m beside where it was seen last
+    hits = []
+    for i in range(90, 240):
+        state = hovering(i * DT, attitude_t_s=(i - 1) * DT)
+        prior = target.predict(state, i * DT)
+        near = (
+            prior is not None and math.hypot(prior.centre_x - aside.centre_x, prior.centre_y - aside.centre_y) < aside.h
+        )
+        looked_at_it = near or (prior is None and hits[-1])  # a tracker searches about as far as the target is high
+        hits.append(looked_at_it)
+        estimate = target.update(seen(aside, found=looked_at_it), state, i * DT)
+        if estimate.seen_t_s > 60 * DT:
+            break
+    assert any(hits)
+    assert estimate.seen_t_s > 90 * DT
+
+
+def test_a_box_that_the_border_cuts_hardly_moves_the_range():
+    def ranged(row):
+        target = Target(CAMERA, DOWN)
+        watch(target, lambda t: (12.0, 0.0), [hovering(i * DT) for i in range(60)])
+        whole = box_of((12.0, 0.0), hovering(60 * DT))
+        smaller = Box.around(whole.centre_x, whole.centre_y, 0.85 * whole.w, 0.85 * whole.h)
+        shift = row - smaller.y - smaller.h
+        turned = hovering(60 * DT, pitch_rad=math.atan(shift / CAMERA.fy))
+        for i in range(60, 75):
+            state = replace(turned, t_s=i * DT, attitude_t_s=i * DT, position_t_s=i * DT, heartbeat_t_s=i * DT)
+            moved = box_of((12.0, 0.0), state)
+            cut = Box.around(moved.centre_x, moved.centre_y, smaller.w, smaller.h)
+            estimate = target.update(seen(cut), state, i * DT)
+        return estimate.range_m
+
+    assert abs(ranged(CAMERA.height + 12) - 12.0) < 0.6 * abs(ranged(CAMERA.height - 30) - 12.0)
