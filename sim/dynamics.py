@@ -1,8 +1,9 @@
 """A multirotor with its autopilot: the response to velocity and yaw-rate setpoints.
 
-The chain is common to real autopilots: a dead time, a shaped velocity reference, a PI velocity controller whose output
-is an acceleration, a second-order tilt loop that follows it, drag against the moving air.  The numbers of the two
-settings are fitted to step responses of a flown PX4 and a flown ArduCopter (`sim/measured.py`).
+The chain is common to real autopilots: a dead time, a limited and shaped velocity reference, a PI velocity controller
+whose output is an acceleration, a second-order tilt loop that follows it, drag against the moving air.  It flies by the
+velocity that its estimator believes in, which may differ from the true one.  The numbers of the settings are fitted to
+step responses of a flown PX4 and a flown ArduCopter (`sim/measured.py`).
 
 The horizontal plane is complex, north + i·east, so that rotating the body frame by the yaw ψ into NED is one product:
 v = (forward + i·right)·exp(iψ).
@@ -17,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from follow.messages import HOVER, Autopilot, Setpoint
-from sim.measured import GRAVITY_M_S2, RESPONSES, ResponseModel, VelocityLoop
+from sim.measured import GRAVITY_M_S2, GaussMarkov, ResponseModel, VelocityLoop, response_of
 
 GroundHeight = Callable[[float, float], float]
 """(north, east) to the height of the ground there, metres above the local frame's origin."""
@@ -94,7 +95,7 @@ class _Loop:
         omega = axis.omega_rad_s
         self.a_rate += (omega * omega * (ask - self.a) - 2.0 * axis.zeta * omega * self.a_rate) * dt
         self.a += self.a_rate * dt
-        self.v += (self.a - axis.drag_per_s * (self.v - wind)) * dt
+        self.v += (self.a - axis.drag(self.v - wind)) * dt
 
 
 def ramp(v: complex, a: complex, command: complex, limit: float, jerk: float, dt: float) -> tuple[complex, complex]:
@@ -122,8 +123,15 @@ def lean(asked: complex) -> tuple[float, float]:
     return math.atan2(asked.imag * math.cos(pitch), GRAVITY_M_S2), pitch
 
 
+_Triple = tuple[float, float, float]
+_NONE: _Triple = (0.0, 0.0, 0.0)
+
+
 class Vehicle:
-    """The vehicle in flight.  The same seed and calls give the same motion, bit for bit."""
+    """The vehicle in flight.  The same seed and calls give the same motion, bit for bit.
+
+    `response` may be replaced in flight, as when a parameter of the autopilot changes.
+    """
 
     def __init__(
         self,
@@ -135,23 +143,24 @@ class Vehicle:
         ground: GroundHeight = level,
     ) -> None:
         self.autopilot = autopilot
-        self.response = response or RESPONSES[autopilot]
+        self.response = response or response_of(autopilot, seed)
         self.wind = wind
         self._ground = ground
         ground_m = ground(start.north_m, start.east_m)
         self.motion = replace(start, landed=-start.down_m <= ground_m, ground_m=ground_m)
         self._random = np.random.default_rng(seed)
         self._gust = 0j
-        self._drift = 0j
-        self._drift_down = 0.0
+        self._velocity_error = (
+            _NONE if self.motion.landed else self._drawn(_NONE, self.response.velocity_error, math.inf)
+        )
         v = complex(start.north_m_s, start.east_m_s)
         self._plane = _Loop(v, v)
         self._lift = _Loop(start.down_m_s, start.down_m_s)
-        self._plane.a = self._plane.integral = self.response.horizontal.drag_per_s * (v - self._air())
+        self._plane.a = self._plane.integral = self.response.horizontal.drag(v - self._air())
         if not self.motion.landed:
             roll, pitch = lean(self._plane.a * cmath.exp(-1j * start.yaw_rad))
             self.motion = replace(self.motion, roll_rad=roll, pitch_rad=pitch)
-        self._lift.a = self._lift.integral = self.response.vertical.drag_per_s * start.down_m_s
+        self._lift.a = self._lift.integral = self.response.vertical.drag(start.down_m_s)
         self._rate_ref = self._rate = start.yaw_rate_rad_s
         self._rate_integral = self.response.turn.damping_per_s * self._rate
         self._waiting: deque[tuple[float, Setpoint]] = deque()
@@ -159,7 +168,13 @@ class Vehicle:
         if v or start.down_m_s:
             level = v * cmath.exp(-1j * start.yaw_rad)
             still = Setpoint(level.real, level.imag, start.down_m_s, start.yaw_rate_rad_s)
-        self._velocity_now = self._yaw_now = still
+        self._obeying = [still, still, still]  # by the horizontal, the vertical and the yaw loop
+
+    @property
+    def reported(self) -> VehicleTruth:
+        """The motion as its estimator believes it: the true one, with a velocity of its own."""
+        m, (north, east, down) = self.motion, self._velocity_error
+        return replace(m, north_m_s=m.north_m_s + north, east_m_s=m.east_m_s + east, down_m_s=m.down_m_s + down)
 
     def step(self, setpoint: Setpoint | None, dt_s: float) -> VehicleTruth:
         """Fly for `dt_s` with this setpoint arriving at its start; None: motors off.
@@ -182,32 +197,38 @@ class Vehicle:
     def _air(self) -> complex:
         return cmath.rect(self.wind.speed_m_s, self.wind.toward_rad) + self._gust
 
-    def _obeyed(self, t_s: float) -> tuple[Setpoint, Setpoint]:
-        """The setpoints whose dead time has passed: for velocity and for yaw."""
+    def _obeyed(self, t_s: float) -> tuple[Setpoint, Setpoint, Setpoint]:
+        """The setpoints whose dead time has passed: of the horizontal, the vertical and the yaw loop."""
         response = self.response
+        dead_s = response.horizontal.dead_time_s, response.vertical.dead_time_s, response.turn.dead_time_s
         for sent_s, setpoint in self._waiting:
-            if t_s - sent_s >= response.dead_time_s - 1e-9:
-                self._velocity_now = setpoint
-            if t_s - sent_s >= response.yaw_dead_time_s - 1e-9:
-                self._yaw_now = setpoint
-        oldest = t_s - max(response.dead_time_s, response.yaw_dead_time_s) - 1e-9
+            for loop, dead in enumerate(dead_s):
+                if t_s - sent_s >= dead - 1e-9:
+                    self._obeying[loop] = setpoint
+        oldest = t_s - max(dead_s) - 1e-9
         while self._waiting and self._waiting[0][0] <= oldest:
             self._waiting.popleft()
-        return self._velocity_now, self._yaw_now
+        level, climb, turn = self._obeying
+        return level, climb, turn
 
     def _substep(self, dt: float) -> None:
         now = self.motion
         response = self.response
-        velocity, turning = self._obeyed(now.t_s)
+        level, climb, turning = self._obeyed(now.t_s)
         self._weather(dt)
         yaw = now.yaw_rad
-        command = complex(velocity.forward_m_s, velocity.right_m_s) * cmath.exp(1j * yaw) + self._drift
-        down = velocity.down_m_s + self._drift_down
-        if now.landed and velocity.down_m_s >= 0.0:
+        if now.landed and climb.down_m_s >= 0.0:
             self._rest(dt)
             return
+        asked = complex(level.forward_m_s, level.right_m_s)
+        limits = response.limits
+        asked *= limits.level_m_s / abs(asked) if abs(asked) > limits.level_m_s else 1.0
+        down = max(-limits.climb_m_s, min(limits.descend_m_s, climb.down_m_s))
+        # It controls the velocity that it believes in: a wrong one acts as a command that is wrong the other way.
+        north_wrong, east_wrong, down_wrong = self._velocity_error
+        command = asked * cmath.exp(1j * yaw) - complex(north_wrong, east_wrong)
         self._plane.step(response.horizontal, command, self._air(), dt)
-        self._lift.step(response.vertical, down, 0.0, dt)
+        self._lift.step(response.vertical, down - down_wrong, 0.0, dt)
         self._turn(turning.yaw_rate_rad_s, dt)
         roll, pitch = lean(self._plane.a * cmath.exp(-1j * yaw))
         v, v_down = self._plane.v, self._lift.v.real
@@ -240,24 +261,31 @@ class Vehicle:
         self._rate += (turn.gain_per_s * error + self._rate_integral - turn.damping_per_s * self._rate) * dt
 
     def _weather(self, dt: float) -> None:
-        """Advance gusts and drift: x' = x·e + σ·sqrt(1 - e²)·n with e = exp(-dt/τ), exact for any dt."""
+        """Advance gusts and wrong velocity: x' = x·e + σ·sqrt(1 - e²)·n with e = exp(-dt/τ), exact for any dt."""
         if self.wind.gust_m_s > 0.0:
             keep = math.exp(-dt / self.wind.gust_time_s)
             spread = self.wind.gust_m_s * math.sqrt(1.0 - keep * keep)
             n = self._random.standard_normal(2)
             self._gust = keep * self._gust + spread * complex(n[0], n[1])
-        if self.response.drift_m_s > 0.0:
-            keep = math.exp(-dt / self.response.drift_time_s)
-            spread = self.response.drift_m_s * math.sqrt(1.0 - keep * keep)
-            n = self._random.standard_normal(3)
-            self._drift = keep * self._drift + spread * complex(n[0], n[1])
-            self._drift_down = keep * self._drift_down + spread * float(n[2])
+        self._velocity_error = self._drawn(self._velocity_error, self.response.velocity_error, dt)
+
+    def _drawn(self, now: _Triple, noise: GaussMarkov, dt: float) -> _Triple:
+        """The next value of a velocity's noise, `dt` later."""
+        spreads = noise.north_m_s, noise.east_m_s, noise.down_m_s
+        if not any(spreads):
+            return _NONE
+        keep = math.exp(-dt / noise.time_s)
+        new = math.sqrt(1.0 - keep * keep)
+        n = self._random.standard_normal(3)
+        north, east, down = (keep * x + new * s * float(k) for x, s, k in zip(now, spreads, n, strict=True))
+        return north, east, down
 
     def _rest(self, dt: float) -> None:
         """Stand still on the ground."""
         self._plane = _Loop(0.0, 0.0)
         self._lift = _Loop(0.0, 0.0)
         self._rate = self._rate_ref = self._rate_integral = 0.0
+        self._velocity_error = _NONE  # an estimator knows a vehicle at rest
         now = self.motion
         ground_m = self._ground(now.north_m, now.east_m)
         self.motion = VehicleTruth(
@@ -266,7 +294,7 @@ class Vehicle:
 
     def _fall(self, dt_s: float) -> None:
         """Motors off: free fall without rotation, down to the ground."""
-        self._velocity_now = self._yaw_now = HOVER
+        self._obeying = [HOVER, HOVER, HOVER]
         self._waiting.clear()
         now = self.motion
         v_down = now.down_m_s + GRAVITY_M_S2 * dt_s

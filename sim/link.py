@@ -25,17 +25,17 @@ class SimLink:
 
     def __init__(self, vehicle: Vehicle, telemetry_delay_s: float = TELEMETRY_DELAY_S) -> None:
         self.vehicle = vehicle
-        self.setpoint = present(vehicle.motion)  # whoever flew it here keeps its velocity until we send
+        self.setpoint = present(vehicle.reported)  # whoever flew it here keeps its velocity until we send
         self.sent_t_s: float | None = None
         self._delay_s = telemetry_delay_s
-        self._reports: deque[VehicleTruth] = deque([vehicle.motion])
+        self._reports: deque[VehicleTruth] = deque([vehicle.reported])
 
     def advance(self, dt_s: float) -> VehicleTruth:
         """Let time pass and give the vehicle's true state at its end."""
         vehicle = self.vehicle
         if dt_s > 0.0:
             vehicle.step(self._obeyed(), dt_s)
-            self._reports.append(vehicle.motion)
+            self._reports.append(vehicle.reported)
         while len(self._reports) > 1 and self._reports[1].t_s <= vehicle.motion.t_s - self._delay_s + 1e-9:
             self._reports.popleft()
         return vehicle.motion

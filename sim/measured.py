@@ -1,11 +1,14 @@
 """What was measured of two flown autopilots: PX4 1.16.0 (SIH quadrotor) and ArduCopter 4.7-dev (SITL quad).
 
-Velocity steps over MAVLink, 20 setpoints a second, frame 8 (docs/vehicle.md).  The response models are fitted by
-`tools/studies/fit_vehicle.py`; how long each obeys without setpoints stands in `follow/link/flight_modes.py`.
+Velocity steps over MAVLink, 20 setpoints a second, frame 8, two samples of each (docs/vehicle.md).  The response models
+are fitted by `tools/studies/fit_vehicle.py`; how long each obeys without setpoints stands in
+`follow/link/flight_modes.py`.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+from typing_extensions import Self
 
 from follow.messages import Autopilot
 
@@ -14,30 +17,44 @@ GRAVITY_M_S2 = 9.80665  # standard gravity, CGPM 1901
 PX4_SINK_M_S = 0.6
 """PX4 after a lost stream without a remote control (COM_OBL_RC_ACT = 0, position mode): it drifts and sinks."""
 
+TOP_M_S = {Autopilot.ARDUPILOT: (11.4, math.radians(30.0))}
+"""Speed that a tilt keeps, measured: flying after a car ArduCopter topped out at 11 to 11.8 m/s with 30 degrees."""
+
 
 @dataclass(frozen=True, slots=True)
 class VelocityLoop:
     """A PI velocity loop on one axis and the air that it works against.
 
     a_ask = gain·(v_ref - v) + integral·∫(v_ref - v)dt + feed_forward·a_ref, limited to `limit_m_s2`;
-    a follows a_ask as ä = ω²(a_ask - a) - 2ζω·ȧ;  v̇ = a - drag·(v - wind).
+    a follows a_ask as ä = ω²(a_ask - a) - 2ζω·ȧ;  v̇ = a - (drag_per_s + drag_per_m·|u|)·u with u = v - wind.
     """
 
+    dead_time_s: float
     gain_per_s: float
     integral_per_s2: float
     feed_forward: float
     omega_rad_s: float
     zeta: float
     drag_per_s: float
+    drag_per_m: float
     limit_m_s2: float
     ramp_m_s2: float  # the reference's own acceleration limit; inf: the setpoint is not shaped
     jerk_m_s3: float
+
+    def drag(self, through: complex) -> complex:
+        """The air's deceleration, m/s², of a vehicle that moves through it at this velocity, m/s."""
+        return (self.drag_per_s + self.drag_per_m * abs(through)) * through
+
+    def lean_rad(self, speed_m_s: float) -> float:
+        """The tilt that keeps a speed in calm air."""
+        return math.atan(abs(self.drag(speed_m_s)) / GRAVITY_M_S2)
 
 
 @dataclass(frozen=True, slots=True)
 class YawLoop:
     """The yaw loop: ṙ = gain·(r_ref - r) + integral·∫(r_ref - r)dt - damping·r, with r_ref limited."""
 
+    dead_time_s: float
     gain_per_s: float
     integral_per_s2: float
     damping_per_s: float
@@ -46,40 +63,88 @@ class YawLoop:
 
 
 @dataclass(frozen=True, slots=True)
-class ResponseModel:
-    """How one autopilot responds.  `drift_m_s` is the standard deviation of its velocity when it should stand still."""
+class GaussMarkov:
+    """First-order Gauss-Markov noise of a velocity: standard deviations of its axes and a correlation time."""
 
-    dead_time_s: float
-    yaw_dead_time_s: float
+    north_m_s: float = 0.0
+    east_m_s: float = 0.0
+    down_m_s: float = 0.0
+    time_s: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedLimits:
+    """The fastest that an autopilot lets itself be asked to fly, whatever the setpoint says."""
+
+    level_m_s: float = math.inf
+    climb_m_s: float = math.inf
+    descend_m_s: float = math.inf
+
+
+@dataclass(frozen=True, slots=True)
+class ResponseModel:
+    """How one autopilot responds.
+
+    `velocity_error` is how far the velocity that its estimator believes in, flies by and reports is from the true one:
+    it wanders by that while it reports that it does not.
+    """
+
     horizontal: VelocityLoop
     vertical: VelocityLoop
     turn: YawLoop
-    drift_m_s: float
-    drift_time_s: float
+    limits: SpeedLimits = SpeedLimits()
+    velocity_error: GaussMarkov = GaussMarkov()
+
+    def steady(self) -> Self:
+        """The same with an estimator that knows its velocity."""
+        return replace(self, velocity_error=GaussMarkov())
 
 
-# 45 degrees: PX4's MPC_TILTMAX_AIR; ArduPilot's ANGLE_MAX raised from 30, without which a car outruns it.
-_TILT_LIMIT_M_S2 = GRAVITY_M_S2 * math.tan(math.radians(45.0))
+def tilt_m_s2(tilt_rad: float) -> float:
+    """The horizontal acceleration of a vehicle that carries its weight at this tilt."""
+    return GRAVITY_M_S2 * math.tan(tilt_rad)
 
-# Speeds up to 5 m/s; above, linear drag extrapolates.  Limits and ramps are the autopilots' parameters, not fitted.
-RESPONSES: dict[Autopilot, ResponseModel] = {
-    Autopilot.PX4: ResponseModel(
-        dead_time_s=0.067,
-        yaw_dead_time_s=0.071,
-        horizontal=VelocityLoop(1.57, 0.46, 0.116, 13.4, 0.56, 0.279, _TILT_LIMIT_M_S2, math.inf, math.inf),
-        vertical=VelocityLoop(5.64, 3.01, 0.092, 25.0, 1.0, 0.096, 5.0, math.inf, math.inf),
-        turn=YawLoop(3.56, 1.09, 0.642, 3.5, 15.5),
-        drift_m_s=0.065,  # measured: the velocity sideways to a commanded step
-        drift_time_s=0.46,
+
+# Limits and ramps are the autopilots' default parameters, not fitted; `sim/autopilot/parameters.py` changes them.
+_PX4_TILT = tilt_m_s2(math.radians(45.0))  # MPC_TILTMAX_AIR
+_ARDUPILOT_TILT = tilt_m_s2(math.radians(30.0))  # ATC_ANGLE_MAX
+
+# PILOT_ACCEL_Z, and a jerk like PSC_JERK_NE; ATC_SLEW_YAW
+_ARDUPILOT_VERTICAL = VelocityLoop(0.081, 1.59, 0.37, 1.2, 12.2, 1.0, 0.0, 0.0, 5.0, 2.5, 5.0)
+_ARDUPILOT_TURN = YawLoop(0.1, 3.14, 20.3, 2.03, math.radians(60.0), 19.2)
+
+RESPONSES: dict[Autopilot, tuple[ResponseModel, ...]] = {
+    # One model for both samples: they differ by no more than PX4's wandering.
+    Autopilot.PX4: (
+        ResponseModel(
+            VelocityLoop(0.066, 1.54, 0.425, 0.342, 11.7, 0.567, 0.261, 0.0, _PX4_TILT, math.inf, math.inf),
+            VelocityLoop(0.059, 6.17, 2.97, 0.092, 25.0, 1.0, 0.11, 0.0, 5.0, math.inf, math.inf),
+            YawLoop(0.071, 3.57, 1.12, 0.657, 3.5, 8.7),
+            SpeedLimits(12.0, 3.0, 1.5),  # MPC_XY_VEL_MAX, MPC_Z_VEL_MAX_UP, MPC_Z_VEL_MAX_DN
+            # North and east: steps without a command sideways report 0.07 m/s RMS, which an error of 0.2 leaves; Hold
+            # reports 0.2 to 0.5 m/s, and a commanded zero moves 1 to 3 m in 5 s.
+            # Down: by how much the reported height moves more than the reported velocity says.
+            GaussMarkov(0.2, 0.2, 0.14, 5.0),
+        ),
     ),
-    Autopilot.ARDUPILOT: ResponseModel(
-        dead_time_s=0.081,
-        yaw_dead_time_s=0.09,
-        # The last two are WPNAV_ACCEL and PSC_JERK_XY.
-        horizontal=VelocityLoop(3.85, 8.0, 1.0, 29.9, 1.22, 0.36, _TILT_LIMIT_M_S2, 2.5, 5.0),
-        vertical=VelocityLoop(1.54, 0.41, 1.2, 13.5, 1.0, 0.0, 5.0, 2.5, 5.0),  # PILOT_ACCEL_Z
-        turn=YawLoop(3.61, 20.9, 1.81, math.radians(60.0), 20.0),  # ATC_SLEW_YAW
-        drift_m_s=0.0,  # it holds within 2 cm
-        drift_time_s=1.0,
+    # One for each sample: in the second its tilt loop is slower, so that it starts later and overshoots.
+    Autopilot.ARDUPILOT: (
+        ResponseModel(
+            # 2.5 and 5.0: WP_ACC, PSC_JERK_NE
+            VelocityLoop(0.081, 3.62, 8.0, 1.01, 29.6, 1.21, 0.254, 0.0213, _ARDUPILOT_TILT, 2.5, 5.0),
+            _ARDUPILOT_VERTICAL,
+            _ARDUPILOT_TURN,
+        ),
+        ResponseModel(
+            VelocityLoop(0.067, 2.39, 5.26, 0.76, 12.3, 1.28, 0.204, 0.0257, _ARDUPILOT_TILT, 2.5, 5.0),
+            _ARDUPILOT_VERTICAL,
+            _ARDUPILOT_TURN,
+        ),
     ),
 }
+
+
+def response_of(autopilot: Autopilot, seed: int = 0) -> ResponseModel:
+    """The response of the flight with this seed: each sample in turn."""
+    samples = RESPONSES[autopilot]
+    return samples[seed % len(samples)]

@@ -10,10 +10,11 @@ import numpy as np
 from follow.geometry import heading_to_ned
 from follow.link import Link
 from follow.messages import Autopilot
+from sim.autopilot.parameters import Table, defaults, flown
 from sim.camera import CameraSettings, LiveFlight, SceneCamera
 from sim.dynamics import CALM, Vehicle, VehicleTruth, Wind
 from sim.link import SimLink
-from sim.measured import GRAVITY_M_S2, RESPONSES
+from sim.measured import response_of
 from sim.scene.optics import Optics
 from sim.scene.world import Kind, World
 from sim.scene.worlds import (
@@ -43,8 +44,8 @@ class Scenario:
 
     `height_m` and `standoff_m` (along the ground) are where it starts and what the servo is to keep; the camera is
     mounted so that the target is in the image's middle row there at `cruise_m_s`.  `limits` are the gate's limits that
-    differ in this flight, `size_m` is about the target's sqrt(width x height), `middle_fraction` as the
-    setting of the target.
+    differ in this flight, `parameters` the autopilot's, `size_m` is about the target's sqrt(width x height),
+    `middle_fraction` as the setting of the target.
     """
 
     name: str
@@ -60,6 +61,7 @@ class Scenario:
     size_m: float = 1.0
     middle_fraction: float = 0.5
     limits: dict[str, float] = field(default_factory=dict)
+    parameters: dict[Autopilot, Table] = field(default_factory=dict)
     frames_per_s: float = 30.0
     latency_s: float = 0.0
     drop_fraction: float = 0.0
@@ -76,7 +78,7 @@ class Scenario:
 
     def down_rad(self, autopilot: Autopilot) -> float:
         """How far the camera looks below the nose: to the target, less the lean that the cruise needs."""
-        lean = math.atan(RESPONSES[autopilot].horizontal.drag_per_s * self.cruise_m_s / GRAVITY_M_S2)
+        lean = response_of(autopilot).horizontal.lean_rad(self.cruise_m_s)
         return math.atan2(self.height_m - MIDDLE_M[self.kind], self.standoff_m) - lean
 
     @property
@@ -136,7 +138,9 @@ def build(
 ) -> tuple[SceneCamera, SimLink, World]:
     """The flight in lockstep: the camera's rounds drive the vehicle's time.  `mount` replaces its own camera."""
     world = scenario.world(seed)
-    vehicle = Vehicle(autopilot, scenario.start(world, seed), scenario.wind, seed, ground=world.terrain.height_m)
+    response = flown(response_of(autopilot, seed), defaults(autopilot) | scenario.parameters.get(autopilot, {}))
+    start, ground = scenario.start(world, seed), world.terrain.height_m
+    vehicle = Vehicle(autopilot, start, scenario.wind, seed, response, ground)
     link = SimLink(vehicle)
     camera = SceneCamera(world, link, mount or scenario.camera_settings(autopilot), scenario.duration_s, seed)
     return camera, link, world
@@ -190,6 +194,7 @@ DRIVE = replace(
     middle_fraction=0.15,
     fov_rad=math.radians(90.0),
     limits={"speed_m_s": 20.0, "fence_m": 900.0, "accel_m_s2": 4.0, "clear_distance": 0.0},
+    parameters={Autopilot.PX4: {"MPC_XY_VEL_MAX": 20.0}, Autopilot.ARDUPILOT: {"ATC_ANGLE_MAX": 45.0}},
 )
 
 

@@ -12,7 +12,7 @@ from typing import ClassVar
 
 from follow.geometry import ned_to_heading
 from follow.messages import NEVER, Autopilot, Setpoint
-from sim.autopilot.parameters import defaults
+from sim.autopilot.parameters import defaults, flown
 from sim.dynamics import Vehicle
 from sim.measured import PX4_SINK_M_S
 
@@ -22,6 +22,7 @@ CLIMB_M_S = 1.5  # PX4 MPC_TKO_SPEED
 DESCEND_M_S = {Autopilot.PX4: 0.7, Autopilot.ARDUPILOT: 0.5}  # MPC_LAND_SPEED, LAND_SPEED
 STICK_M_S = 5.0  # at full deflection
 ARRIVED_M = 0.3
+AT_HOME_M = 1.0  # PX4 wanders by 0.3 m where it should stay
 NO_PWM = 0xFFFF  # PWM of an RC channel that does not exist
 
 
@@ -87,6 +88,7 @@ class AutopilotCore(ABC):
     def __init__(self, vehicle: Vehicle, firmware: str = ""):
         motion = vehicle.motion
         self.vehicle = vehicle
+        self._response = vehicle.response
         self.parameters = defaults(self.autopilot, firmware)
         self.armed = not motion.landed
         self.mode = self.ground_mode if motion.landed else self.stay_mode
@@ -136,7 +138,8 @@ class AutopilotCore(ABC):
         self.resets += 1
 
     def advance(self, t_s: float) -> None:
-        """Fly until `t_s`."""
+        """Fly until `t_s`, within the limits that the parameters set now."""
+        self.vehicle.response = flown(self._response, self.parameters)
         while self.t_s < t_s - 1e-9:
             dt_s = min(STEP_S, t_s - self.t_s)
             self.t_s += dt_s
@@ -245,7 +248,7 @@ class AutopilotCore(ABC):
         return math.hypot(motion.north_m - self.home[0], motion.east_m - self.home[1])
 
     def _is_above_home(self) -> bool:
-        return self._from_home_m() < ARRIVED_M
+        return self._from_home_m() < AT_HOME_M
 
     def _idle_s(self) -> float:
         return self.t_s - max(self._armed_t_s, self._landed_t_s)

@@ -3,7 +3,11 @@
 OBEYED ones change the simulated flight; REPORTED ones only answer `follow doctor` and ground stations.
 """
 
+import math
+from dataclasses import replace
+
 from follow.messages import Autopilot
+from sim.measured import ResponseModel, SpeedLimits, tilt_m_s2
 
 Table = dict[str, float | int]
 
@@ -25,6 +29,10 @@ OBEYED: dict[Autopilot, Table] = {
         "BAT_LOW_THR": 0.15,  # of full
         "BAT_CRIT_THR": 0.07,
         "BAT_EMERGEN_THR": 0.05,
+        "MPC_TILTMAX_AIR": 45.0,  # deg
+        "MPC_XY_VEL_MAX": 12.0,  # m/s
+        "MPC_Z_VEL_MAX_UP": 3.0,  # m/s
+        "MPC_Z_VEL_MAX_DN": 1.5,  # m/s
     },
     Autopilot.ARDUPILOT: {
         "GUID_TIMEOUT": 3.0,  # s
@@ -39,6 +47,10 @@ OBEYED: dict[Autopilot, Table] = {
         "BATT_FS_LOW_ACT": 0,  # 0 none, 1 land, 2 return
         "AVOID_ENABLE": 3,  # bit 0: stops 2 m inside a fence, in GUIDED
         "RC_OVERRIDE_TIME": 3.0,  # s, -1 for ever
+        "ATC_SLEW_YAW": 6000.0,  # cdeg/s
+        "WP_ACC": 2.5,  # m/s2
+        "PSC_JERK_NE": 5.0,  # m/s3
+        "ATC_ANGLE_MAX": 30.0,  # deg
     },
 }
 
@@ -50,9 +62,8 @@ REPORTED: dict[Autopilot, Table] = {
         "NAV_RCL_ACT": 2,
         "MPC_TKO_SPEED": 1.5,  # m/s
         "MPC_LAND_SPEED": 0.7,  # m/s
-        "MPC_XY_VEL_MAX": 12.0,  # m/s
         "MPC_XY_CRUISE": 5.0,  # m/s
-        "RTL_RETURN_ALT": 60.0,  # m
+        "RTL_RETURN_ALT": 30.0,  # m
         "MAV_SYS_ID": 1,
         "SYS_AUTOSTART": 10040,
         "SIM_BAT_DRAIN": 60.0,  # s
@@ -63,14 +74,10 @@ REPORTED: dict[Autopilot, Table] = {
         "FS_THR_ENABLE": 1,
         "FS_EKF_ACTION": 1,
         "BATT_FS_CRT_ACT": 0,
-        "ATC_SLEW_YAW": 6000.0,  # cdeg/s
         "SIM_SPEEDUP": 1.0,
-        "WP_ACC": 2.5,  # m/s2
         "WP_SPD": 10.0,  # m/s
-        "PSC_NE_JERK": 5.0,  # m/s3
         "RTL_ALT_M": 15.0,  # m
         "LAND_SPD_MS": 0.5,  # m/s
-        "ATC_ANGLE_MAX": 30.0,  # deg
         "MAV_SYSID": 1,
         "MAV_GCS_SYSID": 255,
     },
@@ -88,7 +95,7 @@ LACKS: dict[tuple[Autopilot, str], tuple[str, ...]] = {
     (Autopilot.ARDUPILOT, "4.5"): (
         "WP_ACC",
         "WP_SPD",
-        "PSC_NE_JERK",
+        "PSC_JERK_NE",
         "RTL_ALT_M",
         "LAND_SPD_MS",
         "ATC_ANGLE_MAX",
@@ -120,3 +127,25 @@ def defaults(autopilot: Autopilot, firmware: str = "") -> Table:
     lacks = LACKS.get((autopilot, firmware), ())
     table = {name: value for name, value in (OBEYED[autopilot] | REPORTED[autopilot]).items() if name not in lacks}
     return table | ADDS.get((autopilot, firmware), {})
+
+
+def flown(response: ResponseModel, parameters: Table) -> ResponseModel:
+    """The response with the limits that the parameters set: tilt, speeds, acceleration, jerk and turning."""
+
+    def value(default: float, *names: str) -> float:
+        """Of the first name that is in the table."""
+        return next((float(parameters[name]) for name in names if name in parameters), default)
+
+    level, turn = response.horizontal, response.turn
+    tilt_deg = value(value(4500.0, "ANGLE_MAX") / 100.0, "MPC_TILTMAX_AIR", "ATC_ANGLE_MAX")
+    level = replace(
+        level,
+        limit_m_s2=tilt_m_s2(math.radians(tilt_deg)),
+        ramp_m_s2=value(value(100.0 * level.ramp_m_s2, "WPNAV_ACCEL") / 100.0, "WP_ACC"),
+        jerk_m_s3=value(level.jerk_m_s3, "PSC_JERK_NE", "PSC_JERK_XY"),
+    )
+    names = "MPC_XY_VEL_MAX", "MPC_Z_VEL_MAX_UP", "MPC_Z_VEL_MAX_DN"
+    limits = SpeedLimits(*(value(math.inf, name) for name in names))
+    if "ATC_SLEW_YAW" in parameters:
+        turn = replace(turn, rate_limit_rad_s=math.radians(value(0.0, "ATC_SLEW_YAW") / 100.0))
+    return replace(response, horizontal=level, turn=turn, limits=limits)

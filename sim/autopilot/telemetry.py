@@ -79,7 +79,7 @@ def _attitude_quaternion(flight: AutopilotCore, t_s: float) -> Message:
 
 
 def _local_position_ned(flight: AutopilotCore, t_s: float) -> Message:
-    m = flight.vehicle.motion
+    m = flight.vehicle.reported
     speed = m.north_m_s, m.east_m_s, m.down_m_s
     return dialect.MAVLink_local_position_ned_message(ms(t_s), *flight.believed_ned_m(), *speed)
 
@@ -88,7 +88,7 @@ def _odometry(flight: AutopilotCore, t_s: float) -> Message | None:
     """PX4's, for its reset counter."""
     if flight.autopilot is not Autopilot.PX4:
         return None
-    m, unknown = flight.vehicle.motion, [math.nan] * 21
+    m, unknown = flight.vehicle.reported, [math.nan] * 21
     frames = dialect.MAV_FRAME_LOCAL_NED, dialect.MAV_FRAME_LOCAL_FRD
     level = [math.cos(m.yaw_rad / 2), 0.0, 0.0, math.sin(m.yaw_rad / 2)]
     speed = m.north_m_s, m.east_m_s, m.down_m_s, 0.0, 0.0, m.yaw_rate_rad_s
@@ -111,7 +111,7 @@ def _distance_sensor(flight: AutopilotCore, t_s: float) -> Message | None:
 
 def _global_position_int(flight: AutopilotCore, t_s: float) -> Message:
     lat, lon, alt = position(flight)
-    m = flight.vehicle.motion
+    m = flight.vehicle.reported
     speed = round(m.north_m_s * 100), round(m.east_m_s * 100), round(m.down_m_s * 100)
     heading = round(math.degrees(m.yaw_rad) % 360.0 * 100) % 36000
     height = round((flight.datum_down_m - flight.believed_ned_m()[2]) * 1000)
@@ -171,7 +171,7 @@ def _gps_global_origin(flight: AutopilotCore, t_s: float) -> Message:
 
 
 def _vfr_hud(flight: AutopilotCore, _t_s: float) -> Message:
-    m = flight.vehicle.motion
+    m = flight.vehicle.reported
     speed = math.hypot(m.north_m_s, m.east_m_s)
     heading = round(math.degrees(m.yaw_rad) % 360.0) % 360
     throttle = 50 if flight.armed else 0

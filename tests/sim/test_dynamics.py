@@ -1,14 +1,14 @@
 import itertools
 import math
-from dataclasses import replace
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from follow.messages import HOVER, Autopilot, Setpoint
+from sim.autopilot.parameters import defaults, flown
 from sim.dynamics import Vehicle, VehicleTruth, Wind
-from sim.measured import RESPONSES
+from sim.measured import RESPONSES, TOP_M_S, response_of
 
 HIGH = VehicleTruth(down_m=-100.0)
 both = pytest.mark.parametrize("autopilot", list(Autopilot))
@@ -16,7 +16,7 @@ both = pytest.mark.parametrize("autopilot", list(Autopilot))
 
 def still(autopilot: Autopilot, start: VehicleTruth = HIGH, **more) -> Vehicle:
     """A vehicle that does not wander."""
-    return Vehicle(autopilot, start, response=replace(RESPONSES[autopilot], drift_m_s=0.0), **more)
+    return Vehicle(autopilot, start, response=response_of(autopilot).steady(), **more)
 
 
 def fly(vehicle: Vehicle, setpoint: Setpoint, seconds: float, dt: float = 0.05) -> list[VehicleTruth]:
@@ -30,7 +30,7 @@ def mean(values) -> float:
 
 @both
 @pytest.mark.parametrize("axis", ["forward_m_s", "right_m_s", "down_m_s"])
-@pytest.mark.parametrize("speed", [-2.0, 0.5, 2.0])
+@pytest.mark.parametrize("speed", [-2.0, 0.5, 1.4])
 def test_in_calm_air_the_velocity_settles_at_the_command(autopilot, axis, speed):
     vehicle = still(autopilot)
     fly(vehicle, Setpoint(**{axis: speed}), 10.0)
@@ -142,3 +142,81 @@ def test_another_seed_gives_other_gusts():
 def test_a_setpoint_that_is_not_finite_is_refused(autopilot):
     with pytest.raises(ValueError, match="four finite numbers"):
         still(autopilot).step(Setpoint(math.nan), 0.02)
+
+
+def test_what_it_reports_is_what_it_was_asked_while_it_wanders_away():
+    """PX4 flies by a velocity that is wrong: the position moves by what the reported velocity does not say."""
+    vehicle, reported, north = Vehicle(Autopilot.PX4, HIGH, seed=4), [], []
+    for _ in range(3000):
+        vehicle.step(HOVER, 0.02)
+        reported.append(vehicle.reported.north_m_s)
+        north.append(vehicle.motion.north_m)
+    assert abs(mean(reported)) < 0.02
+    error = RESPONSES[Autopilot.PX4][0].velocity_error
+    far = math.sqrt(2.0 * error.time_s * 60.0) * error.north_m_s  # a random walk's standard deviation after 60 s
+    assert 0.1 * far < max(north) - min(north) < 5.0 * far
+    assert vehicle.reported.north_m == vehicle.motion.north_m
+
+
+def test_the_wrong_velocity_has_its_spread_and_correlation():
+    error = RESPONSES[Autopilot.PX4][0].velocity_error
+    pieces = []
+    for seed in range(40):
+        vehicle, off = Vehicle(Autopilot.PX4, HIGH, seed=seed), []
+        for _ in range(200):
+            m = vehicle.step(HOVER, 0.1)
+            off.append(vehicle.reported.down_m_s - m.down_m_s)
+        pieces.append(off)
+    power = mean(x * x for off in pieces for x in off)
+    kept = mean(a * b for off in pieces for a, b in zip(off, off[20:], strict=False)) / power
+    assert math.sqrt(power) == pytest.approx(error.down_m_s, rel=0.2)
+    assert kept == pytest.approx(math.exp(-2.0 / error.time_s), abs=0.15)
+
+
+def test_an_estimator_that_knows_its_velocity_reports_the_truth():
+    vehicle = Vehicle(Autopilot.ARDUPILOT, HIGH)
+    fly(vehicle, Setpoint(2.0), 3.0)
+    assert vehicle.reported == vehicle.motion
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_tilt_limit_decides_the_top_speed(seed):
+    """ArduCopter was seen to top out at 11 to 11.8 m/s with its default 30 degrees."""
+    vehicle = Vehicle(Autopilot.ARDUPILOT, HIGH, seed=seed)
+    end = fly(vehicle, Setpoint(20.0), 40.0)[-1]
+    top_m_s, tilt_rad = TOP_M_S[Autopilot.ARDUPILOT]
+    assert end.north_m_s == pytest.approx(top_m_s, abs=0.4)
+    assert end.pitch_rad == pytest.approx(-tilt_rad, abs=0.01)
+
+
+def test_px4_flies_no_faster_than_its_speed_limits():
+    vehicle = still(Autopilot.PX4)
+    end = fly(vehicle, Setpoint(14.0, 14.0, -5.0), 30.0)[-1]
+    assert math.hypot(end.north_m_s, end.east_m_s) == pytest.approx(12.0, abs=0.1)
+    assert end.down_m_s == pytest.approx(-3.0, abs=0.05)
+    assert fly(vehicle, Setpoint(down_m_s=5.0), 8.0)[-1].down_m_s == pytest.approx(1.5, abs=0.05)
+
+
+@both
+def test_the_default_parameters_are_what_was_measured(autopilot):
+    for response in RESPONSES[autopilot]:
+        assert flown(response, defaults(autopilot)) == response
+
+
+@pytest.mark.parametrize(
+    ("autopilot", "firmware", "setting"),
+    [
+        (Autopilot.PX4, "1.16", {"MPC_XY_VEL_MAX": 4.0}),
+        (Autopilot.PX4, "1.18", {"MPC_TILTMAX_AIR": 6.0}),
+        (Autopilot.ARDUPILOT, "4.7", {"ATC_ANGLE_MAX": 10.0}),
+        (Autopilot.ARDUPILOT, "4.5", {"ANGLE_MAX": 1000}),
+    ],
+)
+def test_a_parameter_limits_the_flight_in_the_unit_of_its_version(autopilot, firmware, setting):
+    response = response_of(autopilot).steady()
+    speeds = [
+        fly(Vehicle(autopilot, HIGH, response=flown(response, table)), Setpoint(8.0), 20.0)[-1].north_m_s
+        for table in (defaults(autopilot, firmware), defaults(autopilot, firmware) | setting)
+    ]
+    assert speeds[0] == pytest.approx(8.0, abs=0.3)
+    assert 2.0 < speeds[1] < 6.0

@@ -67,7 +67,8 @@ class Bench:
         return self
 
     def body_velocity(self):
-        m = self.flight.vehicle.motion
+        """As the autopilot reports it."""
+        m = self.flight.vehicle.reported
         return *ned_to_heading(m.north_m_s, m.east_m_s, m.yaw_rad), m.down_m_s
 
     def heard_last(self, kind: str):

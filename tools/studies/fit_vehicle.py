@@ -2,9 +2,9 @@
 
     python -m tools.studies.fit_vehicle DATA [--fit] [--plot docs/vehicle.png]
 
-DATA holds `px4_1.16_sih_steps.csv` and `arducopter_4.7dev_sitl_steps.csv`, with one row per telemetry sample: time,
-step label, the command (body velocity, yaw rate), the measured body velocity, attitude and yaw rate.
-Without `--fit` it judges the numbers in the code; with it, it fits them again and prints them.
+DATA holds two samples of each autopilot (`FILES`), with one row per telemetry sample: time, step label, the command
+(body velocity, yaw rate), the measured body velocity, attitude, yaw rate and height.  Without `--fit` it judges the
+numbers in the code; with it, it fits them again and prints them.
 """
 
 import argparse
@@ -21,19 +21,35 @@ from scipy.optimize import least_squares
 from follow.geometry import ned_to_heading
 from follow.messages import Autopilot, Setpoint
 from sim.dynamics import Vehicle, VehicleTruth
-from sim.measured import RESPONSES, ResponseModel
+from sim.measured import RESPONSES, TOP_M_S, ResponseModel, tilt_m_s2
 
 matplotlib.use("Agg")
 
-FILES = {Autopilot.PX4: "px4_1.16_sih_steps.csv", Autopilot.ARDUPILOT: "arducopter_4.7dev_sitl_steps.csv"}
-COLUMNS = ("t_s", "v_fwd", "v_right", "vz_ned", "roll", "pitch", "yawrate")
+FILES = {
+    Autopilot.PX4: ("px4_1.16_sih_steps.csv", "px4_1.16_sih_steps_2.csv"),
+    Autopilot.ARDUPILOT: ("arducopter_4.7dev_sitl_steps.csv", "arducopter_4.7dev_sitl_steps_2.csv"),
+}
+COLUMNS = ("t_s", "v_fwd", "v_right", "vz_ned", "roll", "pitch", "yawrate", "z")
 COMMAND = ("cmd_vx", "cmd_vy", "cmd_vz", "cmd_yawrate")
 STEP_S = 0.02
 DURATION_S = 7.9  # each step was held for 8 s
 T = np.arange(0.0, DURATION_S, STEP_S)
 
+Steps = dict[str, tuple[Setpoint, Setpoint, np.ndarray]]
+"""Of one sample: label -> the command before, the command, what was measured at each T as rows of COLUMNS[1:]."""
 
-def read(path: Path) -> dict[str, tuple[Setpoint, Setpoint, np.ndarray]]:
+
+def read_samples(folder: Path) -> dict[Autopilot, list[Steps]]:
+    """The samples of each autopilot."""
+    return {autopilot: [read(folder / name) for name in names] for autopilot, names in FILES.items()}
+
+
+def model_of(autopilot: Autopilot, sample: int) -> int:
+    """The index of the response model that stands for a sample."""
+    return min(sample, len(RESPONSES[autopilot]) - 1)
+
+
+def read(path: Path) -> Steps:
     """Each step's (command before, command, samples resampled onto T as rows of COLUMNS[1:])."""
     steps: dict[str, tuple[Setpoint, list[list[float]]]] = {}
     for row in csv.DictReader(path.read_text().splitlines()):
@@ -53,11 +69,11 @@ def read(path: Path) -> dict[str, tuple[Setpoint, Setpoint, np.ndarray]]:
 def simulate(
     autopilot: Autopilot, response: ResponseModel, before: Setpoint, command: Setpoint, v0: np.ndarray
 ) -> np.ndarray:
-    """The model's own row of COLUMNS[1:] at each T, from the measured velocity of the step's first sample."""
+    """The model's own row of COLUMNS[1:7] at each T, from the measured velocity of the step's first sample."""
     start = VehicleTruth(
         down_m=-100.0, north_m_s=v0[0], east_m_s=v0[1], down_m_s=v0[2], yaw_rate_rad_s=before.yaw_rate_rad_s
     )
-    vehicle = Vehicle(autopilot, start, response=replace(response, drift_m_s=0.0))
+    vehicle = Vehicle(autopilot, start, response=response.steady())
     rows = []
     for _ in T:
         m = vehicle.motion
@@ -67,7 +83,7 @@ def simulate(
     return np.array(rows)
 
 
-def curves(autopilot: Autopilot, response: ResponseModel, steps: dict, labels: Iterable[str]) -> dict[str, np.ndarray]:
+def curves(autopilot: Autopilot, response: ResponseModel, steps: Steps, labels: Iterable[str]) -> dict[str, np.ndarray]:
     """The model's curves of these steps."""
     out = {}
     for label in labels:
@@ -78,11 +94,15 @@ def curves(autopilot: Autopilot, response: ResponseModel, steps: dict, labels: I
 
 @dataclass(frozen=True)
 class Group:
-    """Parameters fitted together: paths into ResponseModel with bounds, the steps and the columns that show them."""
+    """Parameters fitted together: paths into ResponseModel with bounds, the steps and the columns that show them.
+
+    `apart` fits each model to its own samples, else all models of an autopilot are fitted to all its samples.
+    """
 
     labels: tuple[str, ...]
     weights: dict[int, float]  # column of the curves: how much a unit of it counts
     bounds: dict[str, tuple[float, float]]
+    apart: bool = False
 
     def start(self, response: ResponseModel) -> np.ndarray:
         """The parameters in `response`, just inside their bounds."""
@@ -110,7 +130,7 @@ GROUPS = (
         ("yr0.5", "yr0", "yr1.5", "yr0b"),
         {5: 1.0},
         {
-            "yaw_dead_time_s": (0, 0.25),
+            "turn.dead_time_s": (0, 0.25),
             "turn.gain_per_s": (0.5, 30),
             "turn.integral_per_s2": (0, 60),
             "turn.damping_per_s": (0, 3),
@@ -121,19 +141,22 @@ GROUPS = (
         ("vx2", "vx0", "vy2", "vy0", "vx5", "vx0b", "vx0.5", "vx0c", "vx2yr0.5", "zero"),
         {0: 1.0, 1: 1.0, 3: 1.5, 4: 1.5},  # 0.1 rad of tilt counts as much as 0.15 m/s
         {
-            "dead_time_s": (0, 0.25),
+            "horizontal.dead_time_s": (0, 0.4),
             "horizontal.gain_per_s": (0.3, 8),
             "horizontal.integral_per_s2": (0, 8),
             "horizontal.feed_forward": (0, 1.2),
             "horizontal.omega_rad_s": (4, 30),
             "horizontal.zeta": (0.5, 1.3),
             "horizontal.drag_per_s": (0, 0.6),
+            "horizontal.drag_per_m": (0, 0.1),
         },
+        apart=True,
     ),
     Group(
         ("vz_up1", "vz0a", "vz_dn1", "vz0b"),
         {2: 1.0},
         {
+            "vertical.dead_time_s": (0, 0.25),
             "vertical.gain_per_s": (0.3, 15),
             "vertical.integral_per_s2": (0, 8),
             "vertical.feed_forward": (0, 1.2),
@@ -144,13 +167,20 @@ GROUPS = (
 )
 
 
-def fit_group(autopilot: Autopilot, steps: dict, response: ResponseModel, group: Group) -> ResponseModel:
-    """Least squares over the parameters of one group."""
+def fit_group(autopilot: Autopilot, samples: list[Steps], response: ResponseModel, group: Group) -> ResponseModel:
+    """Least squares over the parameters of one group, and the top speed where it was measured."""
+    columns, weights = list(group.weights), list(group.weights.values())
 
     def residual(values: np.ndarray) -> np.ndarray:
-        model = curves(autopilot, group.apply(response, values), steps, group.labels)
-        columns, weights = list(group.weights), list(group.weights.values())
-        return np.concatenate([((model[k] - steps[k][2])[:, columns] * weights).ravel() for k in group.labels])
+        new = group.apply(response, values)
+        errors = []
+        for steps in samples:
+            model = curves(autopilot, new, steps, group.labels)
+            errors += [((model[k][:, :6] - steps[k][2][:, :6])[:, columns] * weights).ravel() for k in group.labels]
+        if autopilot in TOP_M_S and "horizontal.drag_per_m" in group.bounds:
+            top_m_s, tilt_rad = TOP_M_S[autopilot]
+            errors.append(TOP_WEIGHT * np.array([abs(new.horizontal.drag(top_m_s)) - tilt_m_s2(tilt_rad)]))
+        return np.concatenate(errors)
 
     start = group.start(response)
     bounds = tuple(np.array(list(group.bounds.values())).T)
@@ -159,14 +189,42 @@ def fit_group(autopilot: Autopilot, steps: dict, response: ResponseModel, group:
     return group.apply(response, least_squares(residual, start, bounds=bounds, x_scale=scale, diff_step=0.05).x)
 
 
-def judge(data: dict) -> list[tuple[str, float, float, float]]:
-    """Per step: label, the two autopilots' difference, and each model's error (RMS of body velocity, m/s)."""
-    model = {a: curves(a, RESPONSES[a], data[a], list(data[a])) for a in FILES}
+TOP_WEIGHT = 20.0  # of the top speed's 1 m/s² against the thousands of samples of the steps
+
+
+def fit(autopilot: Autopilot, samples: list[Steps]) -> tuple[ResponseModel, ...]:
+    """The autopilot's models, fitted again."""
+    models = list(RESPONSES[autopilot])
+    for group in GROUPS:
+        for index, model in enumerate(models):
+            own = [steps for k, steps in enumerate(samples) if not group.apart or model_of(autopilot, k) == index]
+            models[index] = fit_group(autopilot, own, model, group)
+    return tuple(models)
+
+
+@dataclass(frozen=True)
+class Judged:
+    """One step of one autopilot, RMS of body velocity in m/s: sample against sample, and model against each."""
+
+    label: str
+    spread: float
+    errors: tuple[float, ...]
+
+    @property
+    def held(self) -> bool:
+        """Whether the model is as close to each sample as the samples are to each other."""
+        return max(self.errors) <= self.spread
+
+
+def judge(autopilot: Autopilot, samples: list[Steps]) -> list[Judged]:
+    """Each step's spread and errors."""
+    models = [RESPONSES[autopilot][model_of(autopilot, k)] for k in range(len(samples))]
+    flown = [curves(autopilot, model, steps, steps) for model, steps in zip(models, samples, strict=True)]
     rows = []
-    for label in data[Autopilot.PX4]:
-        px4, ardupilot = (data[a][label][2][:, :3] for a in FILES)
-        errors = [rms(model[a][label][:, :3] - data[a][label][2][:, :3]) for a in FILES]
-        rows.append((label, rms(px4 - ardupilot), *errors))
+    for label in samples[0]:
+        measured = [steps[label][2][:, :3] for steps in samples]
+        errors = tuple(rms(m[label][:, :3] - v) for m, v in zip(flown, measured, strict=True))
+        rows.append(Judged(label, rms(measured[0] - measured[1]), errors))
     return rows
 
 
@@ -175,37 +233,39 @@ def rms(difference: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.sum(difference**2, axis=1))))
 
 
-def floors(data: dict, label: str) -> dict[str, float]:
-    """How near to PX4's curve of a turn on the spot one could come, knowing that curve (RMS, m/s).
-
-    No movement at all; the best constant velocity of the body, and of the ground, both read off the curve itself; then
-    ArduPilot's curve, and the least, mean and largest of that curve moved round in time.
-    """
-    px4, ardupilot = (data[a][label][2] for a in FILES)
-    v, turned = px4[:, :3], np.exp(1j * np.cumsum(px4[:, 5]) * STEP_S)
-    ground = (v[:, 0] + 1j * v[:, 1]) * turned
-    left = np.stack([(ground - ground.mean()).real, (ground - ground.mean()).imag, v[:, 2] - v[:, 2].mean()], axis=1)
-    moved = [rms(v - np.roll(ardupilot[:, :3], shift, axis=0)) for shift in range(len(v))]
-    return {
-        "none": rms(v),
-        "body": rms(v - v.mean(axis=0)),
-        "ground": rms(left),
-        "ArduPilot": moved[0],
-        "least": min(moved),
-        "mean": float(np.mean(moved)),
-        "largest": max(moved),
-    }
+QUIET = ("vx2", "vx0", "vx5", "vx0b", "vx0.5", "vx0c")
+"""Steps without a turn and without a command sideways or down."""
 
 
-def wander(steps: dict) -> tuple[float, float]:
-    """Standard deviation (m/s) and correlation time (s) of the sideways velocity in steps that command none."""
-    v = [steps[k][2][:, 1] - steps[k][2][:, 1].mean() for k in ("vx2", "vx0", "vx5", "vx0b", "vx0.5", "vx0c")]
-    lag = round(0.5 / STEP_S)
+def wander(v: list[np.ndarray]) -> tuple[float, float]:
+    """Standard deviation (m/s) about the mean and correlation time (s) of pieces of a velocity, sampled on T."""
+    v = [x - x.mean() for x in v]
+    lag = round(0.25 / STEP_S)
     kept = np.mean([np.mean(x[lag:] * x[:-lag]) for x in v]) / np.mean([np.mean(x * x) for x in v])
-    return float(np.sqrt(np.mean([np.mean(x * x) for x in v]))), float(-0.5 / np.log(max(kept, 1e-3)))
+    return float(np.sqrt(np.mean([np.mean(x * x) for x in v]))), float(-0.25 / np.log(max(kept, 1e-3)))
 
 
-def draw(data: dict, path: Path) -> None:
+def velocity_error(samples: list[Steps]) -> tuple[float, float]:
+    """Standard deviation (m/s) and correlation time (s) of the reported vertical velocity's error.
+
+    The reported height moves by more than the integral of the reported velocity: what is left after a lag L of a
+    first-order Gauss-Markov error has the mean square 2σ²τ²(L/τ - 1 + exp(-L/τ)).
+    """
+    lags_s = (0.5, 1.0, 2.0, 4.0, 6.0)  # within a step
+    left = [m[:, 6] - np.cumsum(m[:, 2]) * STEP_S for steps in samples for _, _, m in steps.values()]
+    n = [round(lag / STEP_S) for lag in lags_s]
+    seen = np.array([np.sqrt(np.mean([np.mean((x[k:] - x[:-k]) ** 2) for x in left])) for k in n]) / lags_s
+
+    def residual(values: np.ndarray) -> np.ndarray:
+        sigma, tau = values
+        x = np.array(lags_s) / tau
+        return sigma * np.sqrt(2.0 * (x - 1.0 + np.exp(-x))) / x - seen
+
+    sigma, tau = least_squares(residual, (0.1, 3.0)).x
+    return float(sigma), float(tau)
+
+
+def draw(data: dict[Autopilot, list[Steps]], path: Path) -> None:
     """Model over measurement, for both autopilots."""
     panels = [
         ("vx2", 0),
@@ -226,10 +286,13 @@ def draw(data: dict, path: Path) -> None:
     figure, axes = plt.subplots(3, 4, figsize=(13, 8), layout="constrained")
     for ax, (label, column) in zip(axes.flat, panels, strict=True):
         for autopilot, colour in colours.items():
-            before, command, measured = data[autopilot][label]
-            model = simulate(autopilot, RESPONSES[autopilot], before, command, measured[0, :3])
-            ax.plot(T, measured[:, column], color=colour, alpha=0.35, lw=2.5, label=f"{autopilot.value}, measured")
-            ax.plot(T, model[:, column], color=colour, lw=1.2, ls="--", label=f"{autopilot.value}, model")
+            for sample, steps in enumerate(data[autopilot]):
+                before, command, measured = steps[label]
+                which, line = model_of(autopilot, sample), ("--", ":")[sample]
+                model = simulate(autopilot, RESPONSES[autopilot][which], before, command, measured[0, :3])
+                name = f"{autopilot.value} {sample + 1}"
+                ax.plot(T, measured[:, column], color=colour, alpha=0.35, lw=2.5, ls=("-", "-.")[sample], label=name)
+                ax.plot(T, model[:, column], color=colour, lw=1.2, ls=line, label=f"{name}, model")
         ax.set_title(label, fontsize=9)
         ax.set_ylabel(names[column], fontsize=8)
         ax.grid(alpha=0.3)
@@ -245,19 +308,20 @@ def main() -> None:
     parser.add_argument("--fit", action="store_true")
     parser.add_argument("--plot", type=Path)
     arguments = parser.parse_args()
-    data = {autopilot: read(arguments.data / name) for autopilot, name in FILES.items()}
-    if arguments.fit:
-        for autopilot, steps in data.items():
-            for group in GROUPS:
-                RESPONSES[autopilot] = fit_group(autopilot, steps, RESPONSES[autopilot], group)
-            print(autopilot.value, "wanders", wander(steps))
-            print(RESPONSES[autopilot])
-    print(f"| step | PX4 to ArduPilot | model to PX4 | model to ArduPilot |\n|{'---|' * 4}")
-    for label, between, px4, ardupilot in judge(data):
-        late = " (above)" if max(px4, ardupilot) > between else ""
-        print(f"| {label} | {between:.3f} | {px4:.3f} | {ardupilot:.3f} |{late}")
-    for label in ("yr1.5", "yr0b"):
-        print(label, *(f"{name} {value:.4f}" for name, value in floors(data, label).items()))
+    data = read_samples(arguments.data)
+    for autopilot, samples in data.items():
+        if arguments.fit:
+            RESPONSES[autopilot] = fit(autopilot, samples)
+            print(*RESPONSES[autopilot], sep="\n")
+        quiet = [steps[label][2] for steps in samples for label in QUIET]
+        for axis, column in {"right": 1, "down": 2}.items():
+            print(f"{autopilot.value} wanders {axis}: {wander([m[:, column] for m in quiet])} m/s, s")
+        print(f"{autopilot.value}'s vertical velocity is wrong by {velocity_error(samples)} m/s, s")
+    print(f"| step | PX4 to itself | model to each | held | ArduPilot to itself | the same | |\n|{'---|' * 7}")
+    for rows in zip(*(judge(autopilot, samples) for autopilot, samples in data.items()), strict=True):
+        cells = [f"{row.spread:.3f} | {', '.join(f'{e:.3f}' for e in row.errors)}" for row in rows]
+        cells = [f"{cell} | {'yes' if row.held else 'no'}" for cell, row in zip(cells, rows, strict=True)]
+        print(f"| {rows[0].label} | {' | '.join(cells)} |")
     if arguments.plot:
         draw(data, arguments.plot)
 
