@@ -114,10 +114,11 @@ def resolve(config: Config, lens: Intrinsics, down_rad: float, delay_s: float) -
 
     `lens`, `down_rad` (below the nose) and `delay_s` (from exposure to arrival) are those of the camera flown with.
     """
-    camera, limits = config.camera, config.limits
+    camera, servo, limits = config.camera, config.servo, config.limits
     return replace(
         config,
         camera=replace(camera, down_deg=_given(camera.down_deg, math.degrees(down_rad))),
+        servo=replace(servo, top_rad=_given(servo.top_rad, math.atan(lens.cy / lens.fy))),
         limits=replace(
             limits,
             half_view_rad=_given(limits.half_view_rad, lens.horizontal_fov_rad / 2),

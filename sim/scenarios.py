@@ -35,6 +35,7 @@ from sim.scene.worlds import (
 
 Stage = Callable[[np.random.Generator, Kind, float], World]
 
+LEAST_DOWN_RAD = 0.1  # a camera that looks higher sees no target while the vehicle hovers
 MIDDLE_M = {Kind.WALKER: 0.9, Kind.RUNNER: 0.9, Kind.CYCLIST: 0.9, Kind.CAR: 0.7}  # height of an actor's middle
 
 
@@ -79,7 +80,7 @@ class Scenario:
     def down_rad(self, autopilot: Autopilot) -> float:
         """How far the camera looks below the nose: to the target, less the lean that the cruise needs."""
         lean = response_of(autopilot).horizontal.lean_rad(self.cruise_m_s)
-        return math.atan2(self.height_m - MIDDLE_M[self.kind], self.standoff_m) - lean
+        return max(math.atan2(self.height_m - MIDDLE_M[self.kind], self.standoff_m) - lean, LEAST_DOWN_RAD)
 
     @property
     def suggested(self) -> dict[str, dict[str, float]]:

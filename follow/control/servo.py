@@ -48,6 +48,7 @@ class ServoConfig:
     abeam_per_s: float = 0.3  # Gain on the angle off abeam in profile.
     abeam_m_s: float = 3.0  # Fastest speed across the line of sight in profile.
     near_fraction: float = 0.7  # Least fraction of the stand-off that the nearest possible range keeps.
+    top_rad: float | None = None  # How far the camera sees above its middle row. Derived: half of its vertical view.
     band_rad: float = 0.3  # How far from the middle row a target out of reach may appear before the height follows it.
     height_ratio: float = 2.0  # Highest flight over the target, as a multiple of the height at the stand-off.
     evade_fraction: float = 0.6  # Fraction of the stand-off; nearer than this to the head, climb as fast as allowed.
@@ -64,6 +65,10 @@ FARTHEST = 2.5
 
 SEEN_S = 1.0
 """A target seen within this time counts as seen: longer than a camera's delay (0.4 s)."""
+
+NEAR_EDGE, EDGE = 0.4, 0.9
+"""Fractions of the way from the middle row to the top edge: up to the first the vehicle speeds up freely, from the
+second on not at all."""
 
 STEEPEST_RAD = math.radians(75.0)
 """Steeper lines of sight are clipped to this: the tangent of a vertical one is infinite."""
@@ -145,6 +150,8 @@ class Servo:
         flown, _ = ned_to_heading(forward, right, estimate.azimuth_rad)
         with_target = c.feed_forward * along
         radial = self.approach.update(error, -estimate.range_m, dt, flown - with_target) + with_target
+        slow = max(flown, 0.0)  # a retreat is no speed to keep
+        radial = slow + (radial - slow) * (self.room(estimate, state) if radial > slow else 1.0)
         if c.mode is ServoMode.ORBIT:
             return radial, c.orbit_m_s + c.feed_forward * across  # it goes around by itself
         if c.mode is ServoMode.PROFILE and math.hypot(along, across) > c.course_m_s:
@@ -153,6 +160,13 @@ class Servo:
             swing = c.abeam_per_s * estimate.range_m * off
             return radial, min(max(swing, -c.abeam_m_s), c.abeam_m_s) + c.feed_forward * across
         return radial, self.wanted.around_m_s
+
+    def room(self, estimate: Estimate, state: VehicleState) -> float:
+        """Return how much the vehicle may speed up, 0..1: the lean of it lifts the target to the image's top edge."""
+        if self.config.top_rad is None:
+            return 1.0
+        above = (self.down_rad - state.pitch_rad - estimate.depression_rad) / self.config.top_rad
+        return min(max((EDGE - above) / (EDGE - NEAR_EDGE), 0.0), 1.0)
 
     def range_error(self, estimate: Estimate) -> float:
         """Return how much farther than desired the target is, metres, by the nearer of what the ranges say.
@@ -184,9 +198,11 @@ class Servo:
         height = estimate.range_m * math.tan(min(estimate.depression_rad, STEEPEST_RAD))
         stays = c.mode is ServoMode.SPOTLIGHT  # it cannot come nearer, so it keeps the target in the middle row
         beyond = 0.0 if stays else min(max(estimate.range_m / c.standoff_m - 1.0, 0.0), 1.0)
-        highest = c.height_ratio * c.standoff_m * math.tan(min(max(self.down_rad, c.band_rad), STEEPEST_RAD))
+        leaning = min(max(axis, self.down_rad), self.down_rad + c.band_rad)
+        highest = c.height_ratio * c.standoff_m * math.tan(min(max(leaning, c.band_rad), STEEPEST_RAD))
         most = estimate.range_m * math.tan(axis)
-        least = min(estimate.range_m * math.tan(max(axis - beyond * c.band_rad, 0.0)), highest)
+        now = axis + beyond * max(self.down_rad - state.pitch_rad - axis, 0.0)
+        least = min(estimate.range_m * math.tan(min(max(now - beyond * c.band_rad, 0.0), STEEPEST_RAD)), highest)
         too_high_m = max(height - max(most, least), 0.0) - max(least - height, 0.0)
         down = -self.climb.update(-too_high_m, too_high_m, dt, -state.down_m_s)
         inside = 10.0 * (1.0 - estimate.range_m / c.standoff_m)  # 0 at the stand-off, 1 a tenth inside it

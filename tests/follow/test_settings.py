@@ -182,7 +182,7 @@ def test_the_installed_file_pins_neither_the_scenario_nor_the_kind_of_target(tmp
 def test_nothing_is_left_to_be_derived_once_the_camera_is_known():
     lens = CameraConfig().intrinsics(640, 360)
     resolved = resolve(Config(), lens, 0.4, 0.1)
-    assert {"camera.down_deg", "limits.half_view_rad", "limits.latency_s"} == DERIVED
+    assert {"camera.down_deg", "servo.top_rad", "limits.half_view_rad", "limits.latency_s"} == DERIVED
     assert all(value_of(resolved, name) is not None for name in names(resolved))
     assert keys(tomllib.loads(as_toml(resolved))) == names(Config())
 

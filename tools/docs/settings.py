@@ -5,6 +5,7 @@
 A test holds that both files say what the code says.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from pathlib import Path
@@ -25,9 +26,11 @@ HEAD = """\
 #
 # Generated from the code by `python -m tools.docs.settings`.
 """
+_LENS = Config().camera.intrinsics(640, 480)
 DERIVED = {
     "camera.down_deg": MOUNT_DEG,
-    "limits.half_view_rad": Config().camera.intrinsics(640, 480).horizontal_fov_rad / 2,
+    "servo.top_rad": math.atan(_LENS.cy / _LENS.fy),
+    "limits.half_view_rad": _LENS.horizontal_fov_rad / 2,
     "limits.latency_s": 0.0,
 }
 """What the derived settings are for a camera at its defaults."""
