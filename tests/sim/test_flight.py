@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from follow.link.flight_modes import MODES_OF, STREAM_TIMEOUT_S
-from follow.messages import HOVER, Autopilot, Setpoint
-from sim.camera import CameraSettings, LiveFlight, SceneCamera
+from follow.messages import HOVER, Autopilot, Setpoint, VehicleState
+from sim.camera import MOVED_S, TURNED_S, CameraSettings, LiveFlight, SceneCamera
 from sim.dynamics import Vehicle, VehicleTruth
 from sim.link import SimLink
 from sim.scenarios import SCENARIOS, build, doorway, head_on, hill
@@ -233,6 +233,33 @@ def test_a_live_flight_puts_the_scene_where_the_vehicle_is():
     flight.link._reports.popleft()
     moved = flight.advance(0.0)
     assert (moved.north_m, moved.east_m) == pytest.approx((-9.0 + 3 * math.cos(0.1), 3 * math.sin(0.1)))
+
+
+class Stalled(SimLink):
+    """Its telemetry is as old as it is told to be, while the vehicle flies and turns."""
+
+    age_s = 0.0
+
+    def state(self) -> VehicleState:
+        return replace(
+            super().state(),
+            t_s=100.0,
+            attitude_t_s=100.0 - self.age_s,
+            position_t_s=100.0 - self.age_s,
+            north_m_s=4.0,
+            yaw_rate_rad_s=1.0,
+        )
+
+
+@pytest.mark.parametrize("age_s", [0.0, 0.05, 0.3, 2.0, 60.0])
+def test_a_live_scene_carries_the_vehicle_on_by_its_velocity_but_not_without_bound(age_s):
+    link = Stalled(Vehicle(Autopilot.ARDUPILOT, VehicleTruth(down_m=-6.0)))
+    flight = LiveFlight(link, VehicleTruth(down_m=-6.0))
+    flight.advance(0.0)
+    link.age_s = age_s
+    seen = flight.advance(0.0)
+    assert seen.north_m == pytest.approx(4.0 * min(age_s, MOVED_S))
+    assert seen.yaw_rad == pytest.approx(1.0 * min(age_s, TURNED_S))
 
 
 @pytest.mark.parametrize("kind", list(Kind))

@@ -54,6 +54,7 @@ class Sample:
 
     t_s: float
     motion: VehicleTruth
+    speed_m_s: float  # horizontally, the less of the true and the reported one: PX4 wanders unseen, or sees it unmoved
     mode: str  # the autopilot's
     setpoints: int
     modes_asked: int
@@ -142,7 +143,11 @@ class Rig:
                 self.client.receive(packet, self.now_s, datagram=True)
             self.client.step(self.now_s)
             self.flush()
-        self.samples.append(Sample(self.t_s, self.motion, self.system.flight.mode, self.setpoints, self.modes_asked))
+        told = self.system.flight.vehicle.reported
+        speed_m_s = min(math.hypot(m.north_m_s, m.east_m_s) for m in (self.motion, told))
+        self.samples.append(
+            Sample(self.t_s, self.motion, speed_m_s, self.system.flight.mode, self.setpoints, self.modes_asked)
+        )
 
     def flush(self) -> None:
         """Carry what the application sent."""
@@ -260,7 +265,7 @@ def to_body_m(rig: Rig, sample: Sample) -> float:
 def outcome(rig: Rig) -> Outcome:
     """Measure a flight."""
     after = [s for s in rig.samples if s.t_s >= rig.fault_t_s]
-    speeds = [math.hypot(s.motion.north_m_s, s.motion.east_m_s) for s in after]
+    speeds = [s.speed_m_s for s in after]
     moving = [i for i, speed in enumerate(speeds) if speed > STILL_M_S]
     last = moving[-1] + 1 if moving else 0
     stood = last < len(after) - round(0.5 / FRAME_S)
