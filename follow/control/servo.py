@@ -66,9 +66,12 @@ FARTHEST = 2.5
 SEEN_S = 1.0
 """A target seen within this time counts as seen: longer than a camera's delay (0.4 s)."""
 
-NEAR_EDGE, EDGE = 0.4, 0.9
+NEAR_EDGE, EDGE = 0.5, 0.9
 """Fractions of the way from the middle row to the top edge: up to the first the vehicle speeds up freely, from the
 second on not at all."""
+
+FASTER_M_S = 2.0
+"""Just above the first the desired speed is this much above the present one, so that the lean changes smoothly."""
 
 STEEPEST_RAD = math.radians(75.0)
 """Steeper lines of sight are clipped to this: the tangent of a vertical one is infinite."""
@@ -150,8 +153,7 @@ class Servo:
         flown, _ = ned_to_heading(forward, right, estimate.azimuth_rad)
         with_target = c.feed_forward * along
         radial = self.approach.update(error, -estimate.range_m, dt, flown - with_target) + with_target
-        slow = max(flown, 0.0)  # a retreat is no speed to keep
-        radial = slow + (radial - slow) * (self.room(estimate, state) if radial > slow else 1.0)
+        radial = self.in_view(radial, max(flown, 0.0), estimate, state)
         if c.mode is ServoMode.ORBIT:
             return radial, c.orbit_m_s + c.feed_forward * across  # it goes around by itself
         if c.mode is ServoMode.PROFILE and math.hypot(along, across) > c.course_m_s:
@@ -161,12 +163,13 @@ class Servo:
             return radial, min(max(swing, -c.abeam_m_s), c.abeam_m_s) + c.feed_forward * across
         return radial, self.wanted.around_m_s
 
-    def room(self, estimate: Estimate, state: VehicleState) -> float:
-        """Return how much the vehicle may speed up, 0..1: the lean of it lifts the target to the image's top edge."""
-        if self.config.top_rad is None:
-            return 1.0
+    def in_view(self, radial: float, flown: float, estimate: Estimate, state: VehicleState) -> float:
+        """Return the speed along the line of sight, less where the lean of speeding up lifts the target out of view."""
+        if self.config.top_rad is None or radial <= flown:
+            return radial
         above = (self.down_rad - state.pitch_rad - estimate.depression_rad) / self.config.top_rad
-        return min(max((EDGE - above) / (EDGE - NEAR_EDGE), 0.0), 1.0)
+        room = min(max((EDGE - above) / (EDGE - NEAR_EDGE), 0.0), 1.0)
+        return radial if room == 1.0 else min(radial, flown + room * FASTER_M_S)
 
     def range_error(self, estimate: Estimate) -> float:
         """Return how much farther than desired the target is, metres, by the nearer of what the ranges say.

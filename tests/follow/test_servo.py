@@ -4,10 +4,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from follow.control.servo import Servo, ServoConfig, ServoMode
+from follow.control.servo import EDGE, NEAR_EDGE, Servo, ServoConfig, ServoMode
 from follow.messages import NEVER, Autopilot, Estimate, Setpoint, VehicleState
+from follow.safety.limits import Limits
 from follow.selection import HOVER_HERE, Wanted
-from tests.support.ground_flight import GroundFlight
+from tests.support.ground_flight import LENS, GroundFlight
 
 DOWN = math.radians(30)
 CONFIG = ServoConfig()
@@ -55,6 +56,55 @@ def test_a_target_that_runs_away_is_followed_at_its_speed(yaw):
 def test_a_target_crossing_to_the_right_turns_right_at_the_rate_of_its_bearing():
     crossing = estimate(north_m_s=-2 * math.sin(0.4), east_m_s=2 * math.cos(0.4))
     assert desired(crossing).yaw_rate_rad_s == pytest.approx(2 / CONFIG.standoff_m)
+
+
+@given(st.floats(0.0, 12.0), st.floats(0.0, 20.0), st.floats(-0.7, 0.0), st.floats(0.0, 0.6), st.floats(13.0, 60.0))
+def test_it_does_not_speed_up_while_its_lean_holds_the_target_at_the_top_edge(flown, runs, pitch, depression, range_m):
+    """At the edge the speed is kept, in the lower half of the way there it is as if the camera saw everything."""
+    top = 0.44
+    moving = VehicleState(t_s=0.0, north_m_s=flown, pitch_rad=pitch)
+    seen = estimate(depression=depression, range_m=range_m, north_m_s=runs)
+    free = Servo(DOWN).update(seen, moving).forward_m_s
+    asked = Servo(DOWN, ServoConfig(top_rad=top)).update(seen, moving).forward_m_s
+    above = (DOWN - pitch - depression) / top
+    assert asked <= max(free, flown) + 1e-9
+    assert asked >= min(free, flown) - 1e-9
+    if above >= EDGE:
+        assert asked <= flown + 1e-9
+    if above <= NEAR_EDGE or free <= flown:
+        assert asked == pytest.approx(free)
+
+
+@given(st.floats(-5.0, -0.1), st.floats(-0.7, 0.0))
+def test_a_retreat_is_not_kept_for_the_view(flown, pitch):
+    state = VehicleState(t_s=0.0, north_m_s=flown, pitch_rad=pitch)
+    servo = Servo(DOWN, ServoConfig(top_rad=0.44))
+    assert servo.update(estimate(depression=0.0, range_m=30.0), state).forward_m_s >= -1e-9
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("autopilot", list(Autopilot))
+def test_a_cyclist_taken_over_from_a_standstill_stays_in_the_image_and_is_caught_up_with(autopilot, seed):
+    """A cyclist already rides away at 8 m/s; the lean of speeding up lifted it out of the image."""
+
+    def rides(t_s):
+        return 12.0 + 8.0 * t_s, 0.0
+
+    flight = GroundFlight(
+        rides,
+        autopilot=autopilot,
+        end_s=24.0,
+        seed=seed,
+        down_rad=0.3,
+        size_m=(0.7, 1.75),
+        servo=ServoConfig(top_rad=math.atan(LENS.cy / LENS.fy)),
+        limits=Limits(speed_m_s=12.0, fence_m=600.0, clear_distance=0.0, half_view_rad=LENS.horizontal_fov_rad / 2),
+    ).fly()
+    found = [tick.track.found for tick in flight.ticks]
+    assert sum(found) / len(found) > 0.985
+    assert flight.ranges()[-1] < 20.0
+    assert flight.ranges().max() < 50.0
+    assert flight.heights().max() < 19.0
 
 
 def watched_for(seconds, **state):
