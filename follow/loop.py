@@ -116,4 +116,4 @@ def follow(
         clock.append(perf_counter())
         spent = zip(("tracker", "control", "send"), clock[:-1], clock[1:], strict=True)
         stage_ms = {name: 1e3 * (after - before) for name, before, after in spent}
-        yield Tick(frame, track, state, estimate, desired, decision, stage_ms)
+        yield Tick(frame, track, state, estimate, desired, decision, stage_ms, motion, instruction)

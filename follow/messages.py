@@ -283,12 +283,16 @@ STARTED = Reason(Cause.STARTED)
 
 @dataclass(frozen=True, slots=True)
 class Instruction:
-    """What the operator's side says in one round: an order with its reason, what forbids FOLLOW now, how to fly."""
+    """What the operator's side says in one round: an order with its reason, what forbids FOLLOW now, how to fly.
+
+    `aimed` says that the tracker starts again with this order, and that the estimate has forgotten its target.
+    """
 
     order: Order | None = None
     reason: Reason = STARTED
     forbids: str = ""
     wanted: Wanted = AS_SET
+    aimed: bool = False
 
 
 NO_INSTRUCTION = Instruction()
@@ -333,6 +337,8 @@ class Decision:
 class Tick:
     """One round of the loop.  `frame` and `track` are None in a round without a new frame.
 
+    `instruction` and `motion` (of the image, None: no new measurement) are what went into the gate beside them.
+
     `stage_ms` maps each stage's name to its wall-clock duration in ms.  It is only recorded; the loop never reads it.
     """
 
@@ -343,3 +349,5 @@ class Tick:
     desired: Setpoint
     decision: Decision
     stage_ms: dict[str, float] = field(default_factory=dict)
+    motion: ImageMotion | None = None
+    instruction: Instruction = NO_INSTRUCTION

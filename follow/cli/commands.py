@@ -194,7 +194,38 @@ class InspectCommand:
     """Folder of a flight, or its flight.rrd."""
 
 
-Command = ReplayCommand | SimCommand | RunCommand | DoctorCommand | InspectCommand
+@dataclass(frozen=True, slots=True)
+class ReflyCommand:
+    """Let a recorded flight's tracks, states and times go through estimate, servo and gate again.
+
+    - With the recorded settings the outcome must be equal to the last bit: exit status 1 if it is not.
+    - With others it shows what they would have sent. The vehicle goes where it went.
+    """
+
+    flight: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
+    """Folder of the recorded flight."""
+    out: Path | None = None
+    """Output folder: flight.rrd, ticks.csv, settings.toml, summary.json and refly.html. Default: DIR/refly."""
+    json: bool = False
+    """Print the summary as JSON on standard output."""
+    for_: ForWhom = None
+    """Kind of target: sets its size, the stand-off and the speed limit. The settings file and options override each."""
+    settings: Path | None = None
+    """TOML file of settings that differ from the recorded ones. Options override it."""
+    config: Settings = field(default_factory=Config)
+
+
+@dataclass(frozen=True, slots=True)
+class ReportCommand:
+    """Write one self-contained HTML page about a flight: modes and why, losses, limits, timing, link, messages."""
+
+    flight: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
+    """Folder of the flight."""
+    out: Path | None = None
+    """File of the page. Default: DIR/report.html."""
+
+
+Command = ReplayCommand | SimCommand | RunCommand | DoctorCommand | InspectCommand | ReflyCommand | ReportCommand
 
 
 def lens_of(camera: CameraConfig, width: int, height: int) -> Intrinsics:

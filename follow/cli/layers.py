@@ -13,14 +13,25 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import MISSING, field, fields, is_dataclass, make_dataclass, replace
 from enum import Enum
+from pathlib import Path
 from typing import Annotated, Any, Union, cast, get_args, get_type_hints
 
 import tyro
 
 from follow.cli import described
-from follow.cli.commands import Command, DoctorCommand, InspectCommand, ReplayCommand, RunCommand, SimCommand
-from follow.cli.settings import Table, file_layer, layered
+from follow.cli.commands import (
+    Command,
+    DoctorCommand,
+    InspectCommand,
+    ReflyCommand,
+    ReplayCommand,
+    ReportCommand,
+    RunCommand,
+    SimCommand,
+)
+from follow.cli.settings import Table, file_layer, layered, read_table
 from follow.config import PRESETS, Config, TargetKind
+from follow.recording.exact import read_setup
 from racf.commandline import UsageError, parse
 
 PROG = "follow"
@@ -35,6 +46,8 @@ NAMES: dict[str, type[Any]] = {
     "run": RunCommand,
     "doctor": DoctorCommand,
     "inspect": InspectCommand,
+    "refly": ReflyCommand,
+    "report": ReportCommand,
 }
 METAVARS: dict[Any, str] = {bool: "", int: "INT", float: "FLOAT"}
 
@@ -82,6 +95,8 @@ def below(words: Sequence[str], scenario: str | None = None, *, suggests: bool =
     """The settings of all layers below the command line, the scenario's only if it `suggests`.  Raises UsageError."""
     first = _glance([word for word in words if word not in HELP])  # the help shows the defaults of the layers
     layers: list[tuple[str, Table]] = []
+    if isinstance(first, _open(ReflyCommand)) and not any(word in HELP for word in words):
+        layers.append(flown_with(first.flight))
     if suggests and (name := scenario or _scenario(first)):
         layers.append((f"scenario {name}", _suggested(name)))
     kind: TargetKind | None = getattr(first, "for_", None)
@@ -90,6 +105,18 @@ def below(words: Sequence[str], scenario: str | None = None, *, suggests: bool =
     if (path := getattr(first, "settings", None)) is not None:
         layers.append(file_layer(path))
     return layered(*layers)
+
+
+def flown_with(flight: Path) -> tuple[str, Table]:
+    """The settings of a recorded flight, as a layer.  Raises UsageError for a folder without them."""
+    try:
+        setup = read_setup(flight / "messages.jsonl.gz")
+    except FileNotFoundError:
+        raise UsageError(f"{str(flight)!r} holds no messages.jsonl.gz: give the folder of a recorded flight") from None
+    except (OSError, ValueError) as error:
+        raise UsageError(f"the flight in {str(flight)!r} cannot be read: {error}") from None
+    name = f"the flight in {str(flight)!r}"
+    return name, read_table(setup.settings, name)
 
 
 def _scenario(first: Any) -> str | None:

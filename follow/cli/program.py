@@ -4,7 +4,7 @@ import sys
 from collections.abc import Sequence
 
 from follow.camera import CameraError
-from follow.cli.commands import DoctorCommand, ReplayCommand, RunCommand, SimCommand
+from follow.cli.commands import DoctorCommand, ReflyCommand, ReplayCommand, ReportCommand, RunCommand, SimCommand
 from follow.cli.layers import read, settings_of, without_scene
 from follow.flight.finding import NotFitError
 from follow.link import LinkError
@@ -34,6 +34,14 @@ def execute(words: Sequence[str]) -> None:
         from follow.cli.doctor import diagnose
 
         diagnose(command)
+    elif isinstance(command, ReflyCommand):
+        from follow.cli.refly import refly
+
+        refly(command)
+    elif isinstance(command, ReportCommand):
+        from follow.recording.report import write_report
+
+        write_report(command.flight, command.out)
     else:
         from follow.recording.viewer import show
 

@@ -20,6 +20,7 @@ from follow.link.replay import ReplayLink
 from follow.loop import follow
 from follow.messages import Order
 from follow.operator.terminal import Terminal
+from follow.recording.exact import Setup
 from follow.recording.folder import claimed
 from follow.recording.recorder import Recorder
 from follow.recording.scoring import Annotations, FootageScore
@@ -75,11 +76,11 @@ def replay_into(command: ReplayCommand, box: Box, truth: Annotations | None) -> 
         limits = replace(config.limits, disobey_after_s=NEVER_S) if command.ptz else config.limits
         tracker, safety = acquire(command.tracker, box), Safety(limits)
         keep_flight(command.out, terminal)
-        kept = kept_geometry(geometry, config.camera.down_rad)
-        with (
-            link,
-            Recorder(command.out, config.record, terminal.report, waits=True, about=about, desired=kept) as recorder,
-        ):
+        kept, down_rad = kept_geometry(geometry, config.camera.down_rad), config.camera.down_rad
+        flown_with = as_toml(replace(config, servo=geometry, limits=limits))
+        setup = Setup(lens, down_rad, flown_with, command.ptz, about)
+        record = partial(Recorder, waits=True, about=about, desired=kept, setup=setup)
+        with link, record(command.out, config.record, terminal.report) as recorder:
             terminal.listeners.append(recorder.message)
             recorder.settings(as_toml(command.config, config))
             # No meter: the motion of the camera that filmed the footage is unknown, so the image contradicts nothing.

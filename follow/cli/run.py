@@ -7,6 +7,7 @@ import signal
 import time
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +37,7 @@ from follow.link.tlog import Tlog
 from follow.messages import Autopilot, Notify, Tick
 from follow.operator.authority import Keys, Operator
 from follow.operator.terminal import Terminal
+from follow.recording.exact import Setup
 from follow.recording.folder import claimed
 from follow.recording.recorder import Recorder
 from follow.recording.summary import Figures
@@ -229,10 +231,10 @@ def begin_recording(
     keep_flight(command.out, terminal)
     starting.rename(command.out / "flight.tlog")
     about = f"# follow run {command.link} {command.camera}\n\ntracker {command.tracker}"
-    record, kept = command.config.record, kept_geometry(seen.config.servo, seen.down_rad)
-    with Recorder(
-        command.out, record, terminal.report, waits=False, about=about, clock=time.time, desired=kept
-    ) as recorder:
+    kept = kept_geometry(seen.config.servo, seen.down_rad)
+    setup = Setup(seen.lens, seen.down_rad, as_toml(seen.config), about=about)
+    record = partial(Recorder, waits=False, about=about, clock=time.time, desired=kept, setup=setup)
+    with record(command.out, command.config.record, terminal.report) as recorder:
         for line in early:
             recorder.message(line)
         terminal.listeners[:] = [recorder.message]

@@ -64,10 +64,15 @@ def _table(path: Path) -> Table:
     except UnicodeDecodeError as error:
         wrong = error.object[error.start]
         raise UsageError(f"settings {str(path)!r} must be UTF-8, not byte {wrong:#04x} at {error.start}") from None
+    return read_table(text, f"settings {str(path)!r}")
+
+
+def read_table(text: str, name: str) -> Table:
+    """The tables of a TOML text that `name` names in messages.  Raises UsageError."""
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:
-        raise UsageError(f"settings {str(path)!r} must be TOML: {one_line(error)}") from None
+        raise UsageError(f"{name} must be TOML: {one_line(error)}") from None
 
 
 def one_line(error: Exception) -> str:

@@ -4,6 +4,7 @@ import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -18,6 +19,7 @@ from follow.flight.session import acquire, conclude, fly, keep_other_flight, kep
 from follow.loop import follow
 from follow.messages import Autopilot, Order, Tick
 from follow.operator.terminal import Terminal, result, table
+from follow.recording.exact import Setup
 from follow.recording.folder import claimed
 from follow.recording.recorder import Recorder, RecordingError
 from follow.recording.summary import Figures
@@ -110,11 +112,9 @@ def simulate_into(flight: FlightSpec, terminal: Terminal, *, bar: bool) -> Flown
     tracker = acquire(flight.tracker, camera.first()[1])  # what may refuse a flight comes before its recording
     flown: Figures = {"scenario": flight.scenario, "seed": flight.seed, "autopilot": flight.autopilot.value}
     keep_other_flight(flight.out, flown, terminal)
-    kept = kept_geometry(config.servo, down_rad)
-    with (
-        camera,
-        Recorder(flight.out, config.record, terminal.report, waits=True, about=about, desired=kept) as recorder,
-    ):
+    kept, setup = kept_geometry(config.servo, down_rad), Setup(lens, down_rad, as_toml(config), about=about)
+    record = partial(Recorder, waits=True, about=about, desired=kept, setup=setup)
+    with camera, record(flight.out, config.record, terminal.report) as recorder:
         recorder.settings(as_toml(flight.config, config, flight.scene))
 
         def true_box(tick: Tick) -> Box | None:

@@ -21,7 +21,19 @@ from follow.flight.vehicle_checks import check_sending, check_signing, check_sim
 from follow.link import Link
 from follow.link.connection import MavlinkLink
 from follow.loop import BoxTracker, Controller, ImageMeter, SetpointGate, TargetEstimator, follow
-from follow.messages import HOVER, Cause, Estimate, Mode, Notify, Order, Reason, Release, Tick
+from follow.messages import (
+    HOVER,
+    NO_INSTRUCTION,
+    Cause,
+    Estimate,
+    Instruction,
+    Mode,
+    Notify,
+    Order,
+    Reason,
+    Release,
+    Tick,
+)
 from follow.operator.authority import KEYS_HELP, Keys, Operator, signals
 
 ROUND_S = 0.05  # 20 setpoints a second while ramping down: the usual rate for either autopilot
@@ -58,15 +70,21 @@ def taking_and_giving(ticks: Iterable[Tick], link: FlyingLink) -> Iterator[Tick]
 
 
 def ramping_down(
-    link: Link, safety: SetpointGate, pause: Callable[[], None], rounds: int = int(LEAVE_S / ROUND_S)
+    link: Link,
+    safety: SetpointGate,
+    why: Reason,
+    pause: Callable[[], None] = lambda: None,
+    rounds: int = int(LEAVE_S / ROUND_S),
 ) -> Iterator[Tick]:
-    """Rounds without the camera, after the order LEAVE: the gate ramps to zero and ends the stream."""
+    """Rounds without the camera, from the order LEAVE on: the gate ramps to zero and ends the stream."""
+    instruction = Instruction(Order.LEAVE, why)
     for _ in range(rounds):
         state = link.state()
         unseen = Estimate(state.t_s, 0.0, 0.0, 1.0, 0.0)
-        decision = safety.allow(HOVER, unseen, state, state.t_s)
+        decision = safety.allow(HOVER, unseen, state, state.t_s, instruction)
         link.send(decision.setpoint)
-        yield Tick(None, None, state, unseen, HOVER, decision)
+        yield Tick(None, None, state, unseen, HOVER, decision, instruction=instruction)
+        instruction = NO_INSTRUCTION
         if decision.setpoint is None:
             return
         pause()
@@ -123,8 +141,7 @@ def fly(
         finally:
             service.stopping()
             operator.report(f"leaving: {why}")
-            p.safety.order(Order.LEAVE, Reason(Cause.LEAVING, why))
-            for tick in ramping_down(p.link, p.safety, pause):
+            for tick in ramping_down(p.link, p.safety, Reason(Cause.LEAVING, why), pause):
                 record(tick)
                 operator.see(tick)
                 service.alive(tick.state.t_s, tick.decision.mode.value)

@@ -90,7 +90,7 @@ class Operator:
     channel: int | None = None
     heard: RemoteObservations | None = None
     red: tuple[str, ...] = ()
-    aim: Callable[[], object] = lambda: None  # called when FOLLOW is ordered
+    aim: Callable[[], object] | None = None  # called when FOLLOW is ordered
     leaving: str = ""  # why the program must end; empty: it must not
     mode: Mode = Mode.OBSERVE
     reason: Reason | None = None
@@ -117,9 +117,10 @@ class Operator:
         if order is Order.OBSERVE:
             self.waiting.clear()
             return Instruction(order, Reason(Cause.OBSERVE_ORDERED, by), forbids)
-        if self.mode not in STREAMING and not forbids:
+        aimed = self.aim is not None and self.mode not in STREAMING and not forbids
+        if aimed and self.aim is not None:
             self.aim()
-        return Instruction(order, Reason(Cause.FOLLOW_ORDERED, by), forbids)
+        return Instruction(order, Reason(Cause.FOLLOW_ORDERED, by), forbids, aimed=aimed)
 
     def see(self, tick: Tick) -> None:
         """Take one round, and report a new mode or a new reason for it once."""

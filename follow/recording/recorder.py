@@ -18,6 +18,7 @@ from typing_extensions import Self
 from follow.disk import BackgroundFile
 from follow.messages import Frame, Notify, Tick
 from follow.ranges import require_numbers
+from follow.recording.exact import ExactWriter, Setup
 from follow.recording.rows import Desired, LoggedTick, header, row, utc
 from follow.recording.summary import Figures, Summary
 from follow.recording.video_encoder import Encoder
@@ -79,7 +80,8 @@ class Recorder:
     """Writes one flight into `out`.  Raises OSError if it cannot make a file there.
 
     `waits` lets the loop wait for the queues.  `clock` is the wall clock, seconds since 1970, read once, at the first
-    tick; None in a simulation, whose recording then holds no wall-clock time.  `failure` says what broke that should
+    tick; None in a simulation, whose recording then holds no wall-clock time.  With `setup` the flight can be flown
+    again (`follow refly`).  `failure` says what broke that should
     not: the run must then not count as good.
     """
 
@@ -93,6 +95,7 @@ class Recorder:
         about: str = "",
         clock: Callable[[], float] | None = None,
         desired: Desired | None = None,
+        setup: Setup | None = None,
     ) -> None:
         self.out = out
         self.summary = Summary()
@@ -107,6 +110,7 @@ class Recorder:
             for name in REPLACED:
                 (out / name).unlink(missing_ok=True)
             self._rows = Rows(out / "ticks.csv", report)
+            self._exact = ExactWriter(out / "messages.jsonl.gz", setup, report) if setup is not None else None
         except OSError as error:
             raise OSError(f"--out {str(out)!r} must be a folder that can be written: {error.strerror}") from None
 
@@ -132,6 +136,8 @@ class Recorder:
         scene = LoggedTick(self._count, self._t_s, tick, truth)
         light = replace(scene, tick=without_images(tick))
         self._rows.add(light, start_s, self._start_unix_s)
+        if self._exact is not None:
+            self._exact.add(light.tick, truth, self._start_unix_s)
         if self._images is not None:
             self._images.put(lambda recording: recording.tick(light), lambda recording: recording.images(scene))
         self._count += 1
@@ -139,6 +145,8 @@ class Recorder:
     def message(self, text: str) -> None:
         """Record one line for a person, at the present time of the flight."""
         t_s = self._t_s
+        if self._exact is not None:
+            self._exact.message(t_s, text)
         if self._images is not None:
             self._images.put(lambda recording: recording.message(t_s, text))
 
@@ -156,6 +164,8 @@ class Recorder:
         if self._images is not None:
             self._images.close()
         self._rows.close()
+        if self._exact is not None:
+            self._exact.close()
         whole = self.summary.figures()
         if self._start_unix_s is not None:
             whole["started_utc"] = utc(self._start_unix_s)

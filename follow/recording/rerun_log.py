@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from follow.messages import NEVER, Mode, Setpoint, Tick
 from follow.recording.layout import BLUE, GREEN, GREY, MODE_COLOURS, RED, YELLOW, describe, layout
-from follow.recording.rows import Desired, LoggedTick
+from follow.recording.rows import Desired, LoggedTick, held_by
 from follow.recording.video_encoder import Encoder, FrameEncoder, H264Encoder, Sample, encoder
 from racf.box import Box
 from racf.track import Track
@@ -153,7 +153,7 @@ class RerunRecording:
     def _lanes(self, scene: LoggedTick) -> None:
         """Log what changed of the mode, its reason, and what the gate held back."""
         decision = scene.tick.decision
-        held = ", ".join(note.removeprefix("held by ") for note in decision.notes if note.startswith("held by "))
+        held = ", ".join(dict.fromkeys(held_by(decision.notes)))
         self._state("mode", decision.mode.value)
         self._state("why", NUMBER.sub("…", str(decision.reason)))
         self._state("held_by", held or "nothing")

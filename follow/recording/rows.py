@@ -55,6 +55,11 @@ class Desired:
     height_m: float | None = None
 
 
+def held_by(notes: Iterable[str]) -> list[str]:
+    """The limits that reduced the setpoint, of a round's notes: what follows `slower: ` or `less …: `."""
+    return [note.split(": ", 1)[1] for note in notes if note.startswith(("slower: ", "less "))]
+
+
 def header() -> str:
     """The first line."""
     return ",".join(COLUMNS) + "\n"

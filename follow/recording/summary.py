@@ -52,6 +52,7 @@ class Figures(TypedDict, total=False):
     recording_dropped: int
     rows_lost: int
     packets_lost: int
+    refly_differs: int
 
 
 class Summary:

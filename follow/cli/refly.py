@@ -1,0 +1,114 @@
+"""`follow refly`: a recorded flight through estimate, servo and gate again, and both laid side by side."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import chain
+
+from follow.cli.commands import ReflyCommand
+from follow.cli.settings import as_toml
+from follow.config import Config
+from follow.control.footage import FootageTarget
+from follow.control.servo import Servo
+from follow.control.target import Target
+from follow.flight.live_flight import ramping_down
+from follow.flight.session import conclude, fly, keep_flight, kept_geometry
+from follow.loop import follow
+from follow.messages import Tick
+from follow.operator.terminal import Terminal
+from follow.recording.comparison import Difference, write_comparison
+from follow.recording.exact import ExactFlight, Setup, digest, read_exact
+from follow.recording.flight_table import setting_values
+from follow.recording.folder import claimed
+from follow.recording.recorder import Recorder
+from follow.recording.refly import RecordedFlight, RecordedMeter, RecordedTracker
+from follow.recording.summary import Figures
+from follow.safety.gate import Safety
+from racf.commandline import UsageError
+
+
+def refly(command: ReflyCommand) -> None:
+    """`follow refly`.  Raises ValueError if the recorded settings do not give the recorded outcome."""
+    recorded = read_exact(command.flight / "messages.jsonl.gz")
+    out = command.out or command.flight / "refly"
+    if out.resolve() == command.flight.resolve():
+        raise UsageError(f"--out {str(out)!r} is the recorded flight itself: give another folder")
+    flown = as_toml(command.config)
+    refuse_another_camera(recorded.setup, command.config)
+    same = without_record(flown) == without_record(recorded.setup.settings)
+    terminal = Terminal()
+    with claimed(out):
+        keep_flight(out, terminal)
+        difference = Difference(len(recorded.rounds))
+        setup = replace(recorded.setup, settings=flown)
+        clock = None if recorded.unix_s is None else lambda: recorded.unix_s or 0.0
+        record = Recorder(
+            out,
+            command.config.record,
+            terminal.report,
+            waits=True,
+            about=f"{recorded.setup.about}\n\nflown again from {command.flight}",
+            clock=clock,
+            desired=kept_geometry(command.config.servo, recorded.setup.down_rad),
+            setup=setup,
+        )
+        with record as recorder:
+            terminal.listeners.append(recorder.message)
+            recorder.settings(flown)
+            flight = RecordedFlight(recorded.rounds)
+            ticks = terminal.progress(
+                compared(again(recorded, flight, command.config), recorded, difference), flight.left, "refly"
+            )
+            finished = fly(ticks, recorder, terminal.report, lambda _tick: flight.truth())
+            figures = recorder.close(Figures(refly_differs=difference.rounds))
+        terminal.report(difference.sentence(same=same))
+        write_comparison(
+            command.flight, out, difference.sentence(same=same), settings_changed(recorded.setup.settings, flown)
+        )
+    conclude(figures, out, terminal, as_json=command.json, finished=finished, failure=recorder.failure)
+    if same and difference.rounds:
+        raise ValueError(f"the recorded settings do not give the recorded outcome: {difference.sentence(same=True)}")
+
+
+def again(recorded: ExactFlight, flight: RecordedFlight, config: Config) -> Iterator[Tick]:
+    """The rounds of the recorded flight through the loop, and those after the order to leave through the ramp."""
+    setup = recorded.setup
+    target = Target(setup.lens, setup.down_rad, config.target)
+    flight.forget = target.forget
+    moves_view = setup.moves_view
+    estimator = target if moves_view is None else FootageTarget(target, moves_view=moves_view)
+    servo, safety = Servo(setup.down_rad, config.servo), Safety(config.limits)
+    tracker, meter = RecordedTracker(flight), RecordedMeter(flight)
+    loop = follow(flight, flight, tracker, estimator, servo, safety, flight.instruct, meter)
+    return chain(loop, leaving(flight, safety))
+
+
+def leaving(flight: RecordedFlight, safety: Safety) -> Iterator[Tick]:
+    """The rounds from the order to leave on, if there are any."""
+    if flight.left:
+        why = flight.rounds[flight.flown].instruction.reason
+        yield from ramping_down(flight, safety, why, rounds=flight.left)
+
+
+def compared(ticks: Iterator[Tick], recorded: ExactFlight, difference: Difference) -> Iterator[Tick]:
+    """Pass the ticks on, each compared with what came out of its round in the recorded flight."""
+    for tick, was in zip(ticks, recorded.rounds, strict=False):
+        difference.add(tick.state.t_s - recorded.rounds[0].state.t_s, equal=digest(tick) == was.outcome)
+        yield tick
+
+
+def refuse_another_camera(setup: Setup, config: Config) -> None:
+    """Raise UsageError for a setting that acts before the recording: the frames were taken with the recorded camera."""
+    changed = [name for name in settings_changed(setup.settings, as_toml(config)) if name.startswith("camera.")]
+    if changed:
+        raise UsageError(f"{changed[0]} cannot be changed: a recorded flight has its camera's frames behind it")
+
+
+def without_record(toml: str) -> dict[str, str]:
+    """Settings by dotted name, without those of the recording, which change no outcome."""
+    return {name: value for name, value in setting_values(toml).items() if not name.startswith("record.")}
+
+
+def settings_changed(before: str, after: str) -> dict[str, tuple[str, str]]:
+    """Dotted name -> the two values, of each setting that is not the same in both."""
+    old, new = without_record(before), without_record(after)
+    return {name: (old.get(name, ""), new.get(name, "")) for name in {**old, **new} if old.get(name) != new.get(name)}
