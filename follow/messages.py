@@ -32,11 +32,15 @@ class Autopilot(str, Enum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """One image and its time: uint8, (rows, columns, 3) in BGR or (rows, columns) in grey, taken at `t_s`."""
+    """One image and its time: uint8, (rows, columns, 3) in BGR or (rows, columns) in grey, taken at `t_s`.
+
+    A pixel of it is `scale` pixels of the source, whose image was shrunk; boxes inside the loop are in its own pixels.
+    """
 
     image: NDArray[np.uint8]
     t_s: float
     index: int
+    scale: int = 1
 
 
 class Landed(str, Enum):

@@ -83,6 +83,10 @@ class Box:
         shared = self.intersection(other)
         return shared / (self.area + other.area - shared)
 
+    def zoomed(self, factor: float) -> "Box":
+        """The box in an image that is `factor` times as large."""
+        return Box(self.x * factor, self.y * factor, self.w * factor, self.h * factor)
+
     def moved(self, dx: float, dy: float) -> "Box":
         """The same box, `dx, dy` pixels further."""
         return Box(self.x + dx, self.y + dy, self.w, self.h)

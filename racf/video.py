@@ -7,7 +7,7 @@ is applied, every pixel format becomes 8-bit BGR.
 """
 
 import heapq
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -84,12 +84,12 @@ class MissingFrames:
 class Video:
     """A video file, open.  Raises VideoError for a file of which no frame decodes.
 
+    shrink(size): the whole number by which images of that (width, height) are shrunk; `scale` is what it gave.
     size: width and height of its images; fps: its nominal rate, 1/s; frames, length_s: how many it says that it holds
     and how long it says that it is, or None; missing: what has been missing up to now, whole after the last image.
     """
 
-    def __init__(self, path: str | Path) -> None:
-        self._name = Path(path).name
+    def __init__(self, path: str | Path, shrink: Callable[[tuple[int, int]], int] = lambda _size: 1) -> None:
         self._container = _opened(path)
         try:
             self._stream: Any = self._container.streams.best("video")
@@ -101,7 +101,9 @@ class Video:
             self.length_s = _length_s(self._stream, self._container)
             by_length = round(self.length_s * self.fps) if self.length_s else None
             self.frames: int | None = self._stream.frames or by_length
-            self._decoded = _Decoded(self._container, self._stream, self.missing)
+            context = self._stream.codec_context
+            self.scale = shrink((context.width, context.height))
+            self._decoded = _Decoded(self._container, self._stream, self.missing, self.scale)
             self._images = self._numbered()
             self._first = next(self._images, None)
         except BaseException:
@@ -169,8 +171,8 @@ class _Decoded:
     VP8 have packets of their own, AVI's stamps count frames shown: there frames are counted instead.
     """
 
-    def __init__(self, container: Any, stream: Any, missing: MissingFrames) -> None:
-        self._container, self._stream, self._missing = container, stream, missing
+    def __init__(self, container: Any, stream: Any, missing: MissingFrames, shrink: int) -> None:
+        self._container, self._stream, self._missing, self._shrink = container, stream, missing, shrink
         self._waiting: list[int] = []  # stamps of packets whose frame has not come, a heap
         self._counts_packets = stream.codec_context.name != "vp8"
         self._avi = container.format.name == "avi"
@@ -224,7 +226,7 @@ class _Decoded:
 
     def _shown(self, frame: Any) -> tuple[Image, float | None, int]:
         assert self._orientation is not None
-        image = self._orientation.applied(to_bgr(frame))
+        image = self._orientation.applied(to_bgr(frame, self._shrink))
         stamp = frame.pts if self._stamped else None
         stamp_s = None if stamp is None else float(stamp * Fraction(frame.time_base or self._stream.time_base))
         index = self._row(None if stamp_s is None else round(Fraction(stamp_s) / self._stream.time_base))
@@ -304,6 +306,9 @@ def filtered(graph: Any, frame: Any) -> Iterator[Any]:
         return
 
 
-def to_bgr(frame: Any) -> Image:
-    """The (rows, columns, 3) BGR image of a decoded frame of any pixel format and depth."""
+def to_bgr(frame: Any, shrink: int = 1) -> Image:
+    """The (rows, columns, 3) BGR image of a decoded frame of any pixel format and depth, 1 / `shrink` of its size."""
+    if shrink > 1:
+        size = {"width": max(frame.width // shrink, 1), "height": max(frame.height // shrink, 1)}
+        frame = frame.reformat(**size, format="bgr24", interpolation="AREA", threads=1)
     return np.asarray(frame.to_ndarray(format="bgr24"), dtype=np.uint8)

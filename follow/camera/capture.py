@@ -45,9 +45,10 @@ Image = NDArray[np.uint8]
 
 
 class Capture(Protocol):
-    """An open source of images.  `size` is their width and height."""
+    """An open source of images.  `size` is its width and height; images are 1 / `shrink` of that."""
 
     size: tuple[int, int]
+    shrink: int
 
     def images(self) -> Iterator[tuple[Image, float | None]]:
         """Yield each image with our time at which it was taken, or None where that cannot be told.
@@ -99,7 +100,7 @@ class StreamCapture:
         self._orientation: Orientation | None = None
         self._packets = _Packets()
         self._reader: threading.Thread | None = None
-        self.size = (int(context.width), int(context.height))
+        self.size, self.shrink = (int(context.width), int(context.height)), 1
 
     def images(self) -> Iterator[tuple[Image, float | None]]:
         """Yield each image that is not overtaken by many newer ones."""
@@ -177,7 +178,7 @@ class StreamCapture:
 
     def _upright(self, frame: Any) -> Image:
         self._orientation = self._orientation or Orientation.of(frame)
-        return self._orientation.applied(to_bgr(frame))
+        return self._orientation.applied(to_bgr(frame, self.shrink))
 
     def interrupt(self) -> None:
         """Let `images` end now."""

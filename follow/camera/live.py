@@ -14,6 +14,7 @@ from follow.camera.capture import Capture, open_stream
 from follow.camera.names import CameraKind, CameraName, parse_camera
 from follow.camera.picamera import PicameraCapture
 from follow.camera.program import open_program
+from follow.camera.sizes import Shrink, whole
 from follow.messages import NEVER, Frame, Notify
 
 ROUND_S = 1 / 20  # a round at least this often; PX4 drops OFFBOARD below 2 Hz, 20 Hz is MAVLink's usual rate
@@ -26,18 +27,25 @@ class LiveVideo:
 
     A frame bears the time at which it was taken as far as that is known: by the kernel or the sensor, by a stream's
     stamps (what one frame came later than the others), else by its arrival.  `delay_s`, which exposure, encoding and
-    the way take of every frame, is taken off.  `size` is the width and height of its frames, as it says itself.
+    the way take of every frame, is taken off.  `size` is the width and height of its frames; `scale` pixels of the
+    source are one of theirs.
     """
 
     def __init__(
-        self, source: str, report: Notify, delay_s: float = 0.0, clock: Callable[[], float] = time.monotonic
+        self,
+        source: str,
+        report: Notify,
+        delay_s: float = 0.0,
+        clock: Callable[[], float] = time.monotonic,
+        shrink: Shrink = whole,
     ) -> None:
         self._name = parse_camera(source)
         self._report = report
         self._delay_s = delay_s
         self._clock = clock
         self._capture: Capture | None = open_capture(self._name, clock)
-        self.size = self._capture.size
+        self.scale = shrink(self._capture.size)
+        self.size = self._capture.size[0] // self.scale, self._capture.size[1] // self.scale
         self._fresh = threading.Condition()
         self._newest: Frame | None = None
         self._index, self._taken_t_s, self._troubled = -1, NEVER, False
@@ -58,6 +66,7 @@ class LiveVideo:
         while not self._closing.is_set():
             try:
                 self._capture = self._capture or open_capture(self._name, self._clock)
+                self._capture.shrink = self.scale
                 for image, taken_t_s in self._capture.images():
                     self._take(image, taken_t_s)
                     if self._closing.is_set():
@@ -74,7 +83,7 @@ class LiveVideo:
         """Keep an image as the newest frame, if it has the right size and its time is known and later than the last."""
         size = image.shape[1], image.shape[0]
         if size != self.size:  # the lens is known for frames of that size
-            named, wanted = ("x".join(map(str, of)) for of in (size, self.size))
+            named, wanted = (f"{w * self.scale}x{h * self.scale}" for w, h in (size, self.size))
             self._tell(f"camera {self._name.text!r} gives {named}, not {wanted}: not used")
             return
         if self._troubled:
@@ -84,7 +93,7 @@ class LiveVideo:
         if taken_t_s is not None and taken_t_s > self._taken_t_s:
             self._taken_t_s = taken_t_s
             with self._fresh:
-                self._newest = Frame(image, taken_t_s - self._delay_s, self._index)
+                self._newest = Frame(image, taken_t_s - self._delay_s, self._index, self.scale)
                 self._fresh.notify()
 
     def _tell(self, line: str) -> None:

@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,7 +29,7 @@ class PicameraCapture:
                 f"camera {name.text!r} needs the package picamera2 ({error}): sudo apt install python3-picamera2, and "
                 "a virtual environment with --system-site-packages; or exec:rpicam-vid, see docs/cameras.md"
             ) from None
-        self._clock = clock
+        self._clock, self.shrink = clock, 1
         self.size = name.size or SIZE
         try:
             self._camera: Any = picamera2.Picamera2(int(name.options.get("camera", "0")))
@@ -51,8 +52,10 @@ class PicameraCapture:
             except (RuntimeError, TimeoutError) as error:
                 raise CameraError(str(error)) from None
             try:
-                image = np.array(request.make_array("main"), np.uint8)
-                yield image, self._taken_at(request.get_metadata())
+                image = np.asarray(request.make_array("main"), np.uint8)
+                size = (image.shape[1] // self.shrink, image.shape[0] // self.shrink)
+                image = cv2.resize(image, size, interpolation=cv2.INTER_AREA) if self.shrink > 1 else image.copy()
+                yield np.asarray(image, np.uint8), self._taken_at(request.get_metadata())
             finally:
                 request.release()
 

@@ -124,7 +124,7 @@ class ProgramCapture:
     def __init__(self, name: CameraName, program: RunningProgram, clock: Callable[[], float]) -> None:
         self._name, self._program = name, program
         self._container = self._open()
-        self._capture = StreamCapture(self._container, clock)
+        self._capture, self.shrink = StreamCapture(self._container, clock), 1
         self.size = self._capture.size
 
     def _open(self) -> Any:
@@ -143,6 +143,7 @@ class ProgramCapture:
 
     def images(self) -> Iterator[tuple[Image, float | None]]:
         """Yield what the program writes until it ends."""
+        self._capture.shrink = self.shrink
         try:
             yield from self._capture.images()
         except CameraError as error:
@@ -167,7 +168,7 @@ class JpegCapture:
     def __init__(self, program: RunningProgram) -> None:
         self._program = program
         self._context: Any = av.CodecContext.create("mjpeg", "r")
-        self._taken = SteadyArrivals()
+        self._taken, self.shrink = SteadyArrivals(), 1
         first = next(self._decoded(), None)
         if first is None:
             raise CameraError("no JPEG came")
@@ -187,7 +188,7 @@ class JpegCapture:
             except av.error.FFmpegError:
                 continue
             for frame in frames:
-                yield to_bgr(frame), self._taken.taken_at(0.0, self._program.read_t_s)
+                yield to_bgr(frame, self.shrink), self._taken.taken_at(0.0, self._program.read_t_s)
 
     def images(self) -> Iterator[tuple[Image, float | None]]:
         """Yield the newest image of each read until the program ends."""

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from types import TracebackType
 
 import numpy as np
@@ -27,6 +28,11 @@ class RealTime:
         """Width and height of its frames."""
         return self.footage.size
 
+    @property
+    def scale(self) -> int:
+        """Pixels of the source in one of its frames."""
+        return self.footage.scale
+
     def frames(self) -> Iterator[Frame | None]:
         """Yield each frame when it is due, or None for a round without one; a slow consumer misses frames."""
         began_s = self._clock()
@@ -35,7 +41,7 @@ class RealTime:
             if late_s > 1 / self.footage.fps:
                 continue
             time.sleep(max(-late_s, 0.0))
-            yield None if frame is None else Frame(frame.image, self._clock(), frame.index)
+            yield frame and replace(frame, t_s=self._clock())
 
     def __enter__(self) -> Self:
         self.footage.__enter__()

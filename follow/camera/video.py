@@ -18,6 +18,7 @@ from typing_extensions import Self
 
 from follow.camera import Camera, CameraError
 from follow.camera.names import why_not_footage
+from follow.camera.sizes import Shrink, whole
 from follow.messages import Frame, Notify
 from racf.errors import VideoError
 from racf.imagefolder import IMAGE_SUFFIXES, image_paths, positions
@@ -29,12 +30,14 @@ FOLDER_FPS = 30.0  # image folders seldom say; the commonest rate of the publish
 class ReplayCamera(Camera, Protocol):
     """A camera over footage.
 
-    fps: its nominal rate, 1/s; rounds: about how many there are, or None; t_s: the time of the present round, s.
+    fps: its nominal rate, 1/s; rounds: about how many there are, or None; t_s: the time of the present round, s;
+    scale: pixels of the source in one of its frames.
     """
 
     fps: float
     rounds: int | None
     t_s: float
+    scale: int
 
     @property
     def size(self) -> tuple[int, int]:
@@ -42,15 +45,15 @@ class ReplayCamera(Camera, Protocol):
         ...
 
 
-def open_replay(source: str, fps: float | None, report: Notify) -> ReplayCamera:
+def open_replay(source: str, fps: float | None, report: Notify, shrink: Shrink = whole) -> ReplayCamera:
     """Open an image folder or a video file; `fps` overrides what the source says.  Raises CameraError."""
     if fps is not None and not 0 < fps <= 1000:
         raise CameraError(f"frames per second must lie in 0..1000, not {fps:g}")
     path = Path(source)
     if path.is_dir():
-        return ImageFolder(path, fps or named_fps(path) or FOLDER_FPS, report)
+        return ImageFolder(path, fps or named_fps(path) or FOLDER_FPS, report, shrink)
     if path.is_file():
-        return VideoFile(path, fps, report)
+        return VideoFile(path, fps, report, shrink)
     raise CameraError(f"{source!r} cannot be opened: {why_not_footage(source)}")
 
 
@@ -93,22 +96,19 @@ class _Footage:
 class ImageFolder(_Footage):
     """The images of a folder in natural order; a hole in their numbers is rounds without a frame."""
 
-    def __init__(self, folder: Path, fps: float, report: Notify) -> None:
+    def __init__(self, folder: Path, fps: float, report: Notify, shrink: Shrink = whole) -> None:
         super().__init__(folder.resolve().name, fps, report, MissingFrames())
         paths = image_paths(folder)
         if not paths:
             raise CameraError(f"folder {folder} holds no images ({', '.join(sorted(IMAGE_SUFFIXES))})")
         self._slots = dict(zip(positions(paths, int(LONGEST_GAP_S * fps)), paths, strict=True))
         self.rounds: int | None = max(self._slots) + 1
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Width and height of the first frame that can be decoded.  Raises CameraError when none can."""
-        for path in self._slots.values():
-            image = cv2.imread(str(path), cv2.IMREAD_COLOR)
-            if image is not None:
-                return image.shape[1], image.shape[0]
-        raise CameraError(f"none of the {len(self._slots)} images can be decoded")
+        first = next((image for path in self._slots.values() if (image := _read(path)) is not None), None)
+        if first is None:
+            raise CameraError(f"none of the {len(paths)} images in {folder} can be decoded")
+        size = first.shape[1], first.shape[0]
+        self.scale = shrink(size)
+        self.size = (size[0] // self.scale, size[1] // self.scale)
 
     def frames(self) -> Iterator[Frame | None]:
         """Yield each frame, or None where one is missing, unreadable or of another size."""
@@ -116,7 +116,7 @@ class ImageFolder(_Footage):
         for n in range(max(self._slots) + 1):
             self.t_s = n / self.fps
             path = self._slots.get(n)
-            image = None if path is None else cv2.imread(str(path), cv2.IMREAD_COLOR)
+            image = None if path is None else _read(path)
             shape = shape or (None if image is None else image.shape)
             if path is None:
                 self._missing.add("absent", 1, f"before {self._next_name(n)}")
@@ -125,8 +125,13 @@ class ImageFolder(_Footage):
             elif shape != image.shape:
                 self._missing.add("resized", 1, path.name)
                 image = None
-            yield None if image is None else Frame(_bytes(image), self.t_s, n)
+            yield None if image is None else Frame(self._shrunk(image), self.t_s, n, self.scale)
         self.close()
+
+    def _shrunk(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        if self.scale == 1:
+            return image
+        return np.asarray(cv2.resize(image, self.size, interpolation=cv2.INTER_AREA), np.uint8)
 
     def _next_name(self, n: int) -> str:
         return self._slots[min(slot for slot in self._slots if slot > n)].name
@@ -135,13 +140,13 @@ class ImageFolder(_Footage):
 class VideoFile(_Footage):
     """A video file, by its own time stamps, or at `fps` if that is given."""
 
-    def __init__(self, path: Path, fps: float | None, report: Notify) -> None:
+    def __init__(self, path: Path, fps: float | None, report: Notify, shrink: Shrink = whole) -> None:
         try:
-            self._video = Video(path)
+            self._video = Video(path, shrink)
         except VideoError as error:
             raise CameraError(str(error)) from None
         super().__init__(path.name, fps or self._video.fps, report, self._video.missing)
-        self._counts = fps is not None
+        self._counts, self.scale = fps is not None, self._video.scale
         length_s = self._video.length_s
         self.rounds: int | None = self._video.frames if self._counts or not length_s else round(length_s * self.fps)
 
@@ -155,7 +160,7 @@ class VideoFile(_Footage):
         for shown in self._video.images():
             t_s = shown.index / self.fps if self._counts else shown.t_s
             yield from self._until(t_s, self.t_s if shown.index else t_s)
-            yield Frame(shown.image, t_s, shown.index)
+            yield Frame(shown.image, t_s, shown.index, self.scale)
         super().close()
 
     def close(self) -> None:
@@ -164,7 +169,7 @@ class VideoFile(_Footage):
         self._video.close()
 
 
-def _bytes(image: NDArray[np.generic]) -> NDArray[np.uint8]:
-    if image.dtype != np.uint8:
-        raise CameraError(f"frames must be 8 bit, not {image.dtype}")
-    return image.view(np.uint8)
+def _read(path: Path) -> NDArray[np.uint8] | None:
+    """The BGR image of a file, 8 bit; None if it cannot be decoded."""
+    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    return None if image is None else np.asarray(image, np.uint8)

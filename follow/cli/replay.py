@@ -7,6 +7,7 @@ from functools import partial
 
 from follow.camera import Camera
 from follow.camera.names import is_live
+from follow.camera.sizes import shrink_for, whole
 from follow.camera.video import ReplayCamera, open_replay
 from follow.camera.window import WindowCamera
 from follow.cli.commands import ReplayCommand, box_in, box_of, lens_of
@@ -52,21 +53,23 @@ def replay_into(command: ReplayCommand, box: Box, truth: Annotations | None) -> 
     """Fly in the folder that is ours now, from the target's box in the first frame."""
     terminal = Terminal()
     config = command.config
-    footage = open_replay(command.source, command.fps, terminal.report)
+    footage = open_replay(command.source, command.fps, terminal.report, whole if command.ptz else shrink_for(box))
     source = os.fsencode(command.source).decode(errors="replace")  # a name need not be UTF-8, a recording must
     about = f"# follow replay {source}\n\ntracker {command.tracker}, {footage.fps:g} frames/s"
     with footage:
-        if line := box_in(box, *footage.size):
+        source_size = footage.size[0] * footage.scale, footage.size[1] * footage.scale
+        if line := box_in(box, *source_size):
             terminal.report(line)
         now = partial(getattr, footage, "t_s")
         link = ReplayLink(footage.fps, REPLAY_HEIGHT_M, command.autopilot, holds_place=command.ptz, now=now)
         camera: Camera = footage
         lens = lens_of(config.camera, *footage.size)
         ptz = windowed(footage, link, box, config) if command.ptz else None
-        score = FootageScore(truth, Box(0, 0, *footage.size), (lambda: ptz.window) if ptz else None)
+        score = FootageScore(truth, Box(0, 0, *source_size), (lambda: ptz.window) if ptz else None)
         if ptz is not None:
             camera, lens = ptz, ptz.intrinsics
             box = box.moved(-ptz.window.x, -ptz.window.y)
+        box = box.zoomed(1 / footage.scale)
         config = resolve(config, lens, config.camera.down_rad, 0.0)  # a file's frames do not come late
         target = FootageTarget(Target(lens, config.camera.down_rad, config.target), moves_view=command.ptz)
         # The window turns and climbs and cannot come nearer, whatever else the servo is set to.

@@ -16,6 +16,7 @@ from follow.camera.calibration import described
 from follow.camera.live import LiveVideo
 from follow.camera.names import is_camera, is_live
 from follow.camera.realtime import RealTime
+from follow.camera.sizes import shrink_for
 from follow.camera.video import open_replay
 from follow.cli.commands import RunCommand, box_in, box_of, lens_of
 from follow.cli.layers import SCENE, from_scene
@@ -62,20 +63,21 @@ class OpenCamera:
     config: Config
     truth: Callable[[Tick], Box | None] = lambda _tick: None
     score: Callable[[], Figures] = Figures
+    scale: int = 1
 
 
 def open_camera(command: RunCommand, link: Link, report: Notify) -> OpenCamera:
     """The camera that the command names; a scene is drawn as seen from where the link says that the vehicle is."""
     if command.camera.startswith(SCENE):
         return open_scene(command, link)
-    mount = command.config.camera
+    mount, target = command.config.camera, box_of(command.target or "")
     if is_live(command.camera):
-        camera, delay_s = LiveVideo(command.camera, report, mount.delay_s), mount.delay_s
+        camera, delay_s = LiveVideo(command.camera, report, mount.delay_s, shrink=shrink_for(target)), mount.delay_s
     else:
-        camera, delay_s = RealTime(open_replay(command.camera, None, report)), 0.0
+        camera, delay_s = RealTime(open_replay(command.camera, None, report, shrink_for(target))), 0.0
     lens = lens_of(mount, *camera.size)
     config = resolve(command.config, lens, mount.down_rad, delay_s)
-    return OpenCamera(camera, lens, mount.down_rad, box_of(command.target or ""), config)
+    return OpenCamera(camera, lens, mount.down_rad, target.zoomed(1 / camera.scale), config, scale=camera.scale)
 
 
 def open_scene(command: RunCommand, link: Link, drawn: CameraConfig | None = None) -> OpenCamera:
@@ -201,7 +203,8 @@ def prepare(command: RunCommand, link: MavlinkLink, report: Notify) -> PreparedF
     report("vehicle found: measuring its message rates and reading its parameters, some 10 s")
     red = unwaived(inspect(command, link), command.waive, report)
     seen = open_camera(command, link, report)
-    if line := box_in(seen.target, seen.lens.width, seen.lens.height):
+    scale = seen.scale  # messages are in pixels of the source
+    if line := box_in(seen.target.zoomed(scale), seen.lens.width * scale, seen.lens.height * scale):
         report(line)
     tracker = acquire(command.tracker, seen.target)
     if path := command.config.camera.calibration:

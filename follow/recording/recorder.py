@@ -16,7 +16,7 @@ import numpy as np
 from typing_extensions import Self
 
 from follow.disk import BackgroundFile
-from follow.messages import Frame, Notify, Tick
+from follow.messages import Notify, Tick
 from follow.ranges import require_numbers
 from follow.recording.exact import ExactWriter, Setup
 from follow.recording.rows import Desired, LoggedTick, header, row, utc
@@ -200,6 +200,6 @@ class Recorder:
 
 def without_images(tick: Tick) -> Tick:
     """The same round without what takes memory: the image, the response and the mask."""
-    frame = tick.frame and Frame(NO_IMAGE, tick.frame.t_s, tick.frame.index)
+    frame = tick.frame and replace(tick.frame, image=NO_IMAGE)
     track = tick.track and replace(tick.track, response=None, mask=None, mask_box=None)
     return replace(tick, frame=frame, track=track)

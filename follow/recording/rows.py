@@ -74,7 +74,7 @@ def row(n: int, tick: Tick, start_s: float = 0.0, started_unix_s: float | None =
     frame = (_text(tick.frame.index), _text(tick.frame.t_s - start_s)) if tick.frame else ("", "")
     cells = (
         *(_text(n), _text(t_s), "" if started_unix_s is None else utc(started_unix_s + t_s), *frame),
-        *_track(tick.track),
+        *_track(tick.track, tick.frame.scale if tick.frame else 1),
         *_values(tick.state, _STATE, start_s),
         *(_word(tick.state.mode), _text(tick.state.in_control), _text(tick.state.armed)),
         *_values(tick.estimate, _ESTIMATE, start_s),
@@ -91,10 +91,11 @@ def utc(unix_s: float) -> str:
     return datetime.fromtimestamp(unix_s, timezone.utc).isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
-def _track(track: Track | None) -> Iterable[str]:
+def _track(track: Track | None, scale: int) -> Iterable[str]:
+    """The cells of a track, its box in pixels of the source."""
     if track is None:
         return [""] * len(_TRACK)
-    box = track.box
+    box = track.box.zoomed(scale)
     numbers = (box.x, box.y, box.w, box.h, track.psr, track.apce, track.confidence, track.found, track.refined)
     return [_text(number) for number in numbers]
 

@@ -38,7 +38,7 @@ class Annotations:
 
 
 class FootageScore:
-    """Gathers boxes tick by tick over footage of size `whole`.
+    """Gathers boxes tick by tick over footage of size `whole`, in pixels of the source.
 
     `window` says which part of it the camera shows now; None if it shows all.
     """
@@ -57,7 +57,7 @@ class FootageScore:
         if self._truth is None or tick.frame is None or tick.track is None:
             return None
         window = self._window()
-        index, box = tick.frame.index, tick.track.box
+        index, box = tick.frame.index, tick.track.box.zoomed(tick.frame.scale)
         self._frames = max(self._frames, index + 1)
         if index < len(self._boxes):
             self._rounds = max(self._rounds, index + 1)
@@ -67,7 +67,7 @@ class FootageScore:
             return None
         half_w, half_h = window.w / 2, window.h / 2
         self._offsets.append(((true.centre_x - window.centre_x) / half_w, (true.centre_y - window.centre_y) / half_h))
-        return true.moved(-window.x, -window.y)
+        return true.moved(-window.x, -window.y).zoomed(1 / tick.frame.scale)
 
     def figures(self) -> Figures:
         """Percent, over the rows that were played; for a moving window also how well it kept the target in view."""

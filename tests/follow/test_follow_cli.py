@@ -116,10 +116,10 @@ def test_ctrl_c_writes_everything_up_to_there(capfd, footage, tmp_path, monkeypa
     class Stopped:
         """Footage during which a person presses Ctrl-C."""
 
-        def __init__(self, source, fps, report):
-            self._footage = open_replay(source, fps, report)
+        def __init__(self, source, fps, report, shrink):
+            self._footage = open_replay(source, fps, report, shrink)
             self.fps, self.rounds, self.size = self._footage.fps, self._footage.rounds, self._footage.size
-            self.t_s = 0.0
+            self.t_s, self.scale = 0.0, self._footage.scale
 
         def frames(self):
             for frame in self._footage.frames():

@@ -149,8 +149,9 @@ class Still:
     """A camera that is never read."""
 
     size = (640, 480)
+    scale = 1
 
-    def __init__(self, *_: object) -> None: ...
+    def __init__(self, *_: object, **__: object) -> None: ...
 
 
 def installed(folder: Path, **changed: float) -> Path:
