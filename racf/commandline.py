@@ -10,6 +10,7 @@ import select
 import signal
 import sys
 from collections.abc import Callable, Sequence
+from importlib.metadata import version
 from typing import Any, TextIO, TypeVar, cast
 
 import tyro
@@ -17,7 +18,7 @@ import tyro
 from racf.errors import UsageError
 from racf.threads import one_core
 
-__all__ = ["Stopped", "UsageError", "guarded", "parse", "run"]
+__all__ = ["StopReported", "UsageError", "guarded", "parse", "run"]
 
 CommandT = TypeVar("CommandT")
 
@@ -34,7 +35,7 @@ STOPPED_S = 0.5
 _FRAME = re.compile(r"[─-╿]+|-{5,}")  # the block of box-drawing characters; dashes where the output is not UTF-8
 
 
-class Stopped(KeyboardInterrupt):
+class StopReported(KeyboardInterrupt):
     """A person stopped the program, which has said so and what is left."""
 
 
@@ -71,7 +72,7 @@ def guarded(work: Callable[[], None], *, prog: str, failures: tuple[type[Excepti
         work()
     except UsageError as error:
         return _complain(prog, error, 2)
-    except Stopped:
+    except StopReported:
         return 1
     except KeyboardInterrupt:
         return _complain(prog, "stopped before it was done (Ctrl-C or SIGTERM)", 1)
@@ -85,7 +86,10 @@ def guarded(work: Callable[[], None], *, prog: str, failures: tuple[type[Excepti
 def parse(
     commands: Any, argv: Sequence[str] | None, *, prog: str, description: str, config: Sequence[Any] = ()
 ) -> object:
-    """The command in `argv`; raises UsageError if it cannot be parsed, SystemExit(0) after `--help`."""
+    """The command in `argv`; raises UsageError if it cannot be parsed, SystemExit(0) after `--help` or `--version`."""
+    if list(sys.argv[1:] if argv is None else argv) == ["--version"]:
+        print(f"{prog} {version('follow-me')}")  # noqa: T201 - it is what was asked for
+        raise SystemExit(0)
     complaint = io.StringIO()
     try:
         with contextlib.redirect_stderr(complaint):

@@ -34,6 +34,7 @@ SIM_MAY_IMPORT = {
     "follow.link",
     "follow.camera",
     "racf.box",
+    "racf.commandline",  # of sim.autopilot, a program of its own
     "racf.video_writer",
 }
 WIRING = "follow/cli/"  # the only room that builds both seams

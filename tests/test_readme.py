@@ -42,8 +42,12 @@ def test_every_follow_command_of_the_readme_is_understood(words):
     assert read(words) is not None
 
 
-def test_the_simulated_autopilot_of_the_readme_flies_and_is_set_as_doctor_asks():
-    (words,) = commands("python")
+def test_the_readme_has_both_autopilots():
+    assert {read_autopilot(words[2:]).autopilot for words in commands("python")} == set(Autopilot)
+
+
+@pytest.mark.parametrize("words", commands("python"), ids=" ".join)
+def test_the_simulated_autopilot_of_the_readme_flies_and_is_set_as_doctor_asks(words):
     assert words[:2] == ["-m", "sim.autopilot"]
     options = read_autopilot(words[2:])
     flight = build_autopilot(options).flight

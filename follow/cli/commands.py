@@ -26,6 +26,16 @@ def require_system_id(system_id: int | None) -> None:
         raise ValueError(f"--system-id lies in 1..255, not {system_id}")
 
 
+def require_standoff(config: Config) -> None:
+    """Raise ValueError for a stand-off that the gate does not let the servo reach."""
+    standoff_m, least_m = config.servo.standoff_m, config.limits.min_standoff_m
+    if standoff_m < least_m:
+        raise ValueError(
+            f"servo.standoff_m {standoff_m:g} lies below limits.min_standoff_m {least_m:g}, which the gate keeps: "
+            "raise the one or lower the other"
+        )
+
+
 @dataclass(frozen=True, slots=True)
 class ReplayCommand:
     """Play footage through tracker, servo and gate, to a link that pretends to fly."""
@@ -90,6 +100,7 @@ class SimCommand:
     config: Settings = field(default_factory=Config)
 
     def __post_init__(self) -> None:
+        require_standoff(self.config)
         if self.seed < 0:
             raise ValueError(f"--seed is 0 or more, not {self.seed}")
         if self.seeds < 1:
@@ -147,6 +158,7 @@ class RunCommand:
     config: Settings = field(default_factory=Config)
 
     def __post_init__(self) -> None:
+        require_standoff(self.config)
         require_system_id(self.system_id)
         if self.rc_channel is not None and not 1 <= self.rc_channel <= 18:
             raise ValueError(f"--rc-channel lies in 1..18, not {self.rc_channel}")

@@ -14,6 +14,7 @@ from follow.camera.live import LiveVideo
 from follow.camera.names import is_live
 from follow.camera.video import open_replay
 from follow.cli.commands import DoctorCommand
+from follow.cli.layers import SCENE
 from follow.flight import preflight as doctor
 from follow.flight.finding import Finding, Health, NotFitError, is_fit, places
 from follow.flight.image_checks import check_images
@@ -62,6 +63,8 @@ def diagnose(command: DoctorCommand) -> None:
 def look(source: str, tracker: str, out: Path, terminal: Terminal) -> list[Finding]:
     """The camera, and the tracker on its frames; the first of them is left in `out`, to read a target's box off."""
     kept: list[Frame] = []
+    if source.startswith(SCENE):
+        return [Finding("camera", Health.OK, "a drawn scene: nothing to check")]
     live = is_live(source)
     terminal.report(f"reading frames of {source}, some {CAMERA_S:g} s")
     try:
@@ -87,7 +90,8 @@ def listen(uri: str, system_id: int | None, key: Path | None, report: Notify) ->
     try:
         signing = Signing(key) if key is not None else None
     except (ValueError, OSError) as error:
-        return [Finding("signing", Health.RED, str(error), "chmod 600, and 32 bytes in it")]
+        why = f"{key}: {error.strerror}" if isinstance(error, OSError) else str(error)
+        return [Finding("signing", Health.RED, f"{why}; the link is not checked", "32 bytes in it, and chmod 600")]
     try:
         with connect(uri, system_id, signing=signing) as link:
             findings = check_vehicle(link.client, link.listen, time.monotonic, report)

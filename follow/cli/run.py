@@ -1,6 +1,7 @@
 """`follow run`: a real camera or a drawn scene, and a vehicle behind a MAVLink connection."""
 
 import contextlib
+import difflib
 import logging
 import math
 import signal
@@ -14,7 +15,7 @@ from typing import Any
 from follow.camera import Camera
 from follow.camera.calibration import described
 from follow.camera.live import LiveVideo
-from follow.camera.names import is_camera, is_live
+from follow.camera.names import is_camera, is_live, parse_camera
 from follow.camera.realtime import RealTime
 from follow.camera.sizes import shrink_for
 from follow.camera.video import open_replay
@@ -29,12 +30,14 @@ from follow.control.servo import Servo
 from follow.control.target import Target
 from follow.flight.finding import Finding
 from follow.flight.live_flight import LogForwarder, Parts, fly, preflight, unwaived
+from follow.flight.parameters import names
 from follow.flight.session import acquire, conclude, keep_flight, kept_geometry
 from follow.geometry import Intrinsics
 from follow.link import Link
 from follow.link.connection import MavlinkLink, connect
 from follow.link.signing import Signing
 from follow.link.tlog import Tlog
+from follow.link.transports import parse_address
 from follow.messages import Autopilot, Notify, Tick
 from follow.operator.authority import Keys, Operator
 from follow.operator.terminal import Terminal
@@ -102,16 +105,36 @@ def open_scene(command: RunCommand, link: Link, drawn: CameraConfig | None = Non
 
 
 def check(command: RunCommand) -> None:
-    """Raise UsageError for what no vehicle is needed to refuse."""
+    """Raise UsageError, LinkError or CameraError for what no vehicle is needed to refuse."""
     if command.target is not None:
         box_of(command.target)
     elif not command.camera.startswith(SCENE):
         raise UsageError("what is to be followed? give --target x,y,w,h")
+    if not command.link.startswith("mavsdk+"):
+        parse_address(command.link)
+    if is_live(command.camera):
+        parse_camera(command.camera)
+    elif not command.camera.startswith(SCENE) and not Path(command.camera).exists():
+        raise UsageError(
+            f"camera {command.camera!r} is no file or folder, and none of a device (0, /dev/video0), "
+            "a stream (rtsp://HOST/PATH) and a drawn scene (scene:NAME)"
+        )
+    for name in command.waive:
+        check_waiver(name)
     name = command.camera.removeprefix(SCENE)
     if name != command.camera and name not in SCENARIOS:
         raise UsageError(f"there is no scene {name!r}; there are {', '.join(SCENARIOS)}")
     if name == command.camera or command.config.camera.down_deg is not None:  # else the angle depends on the autopilot
         height_line(command.config)
+
+
+def check_waiver(name: str) -> None:
+    """Raise UsageError for a name written as a parameter's that no autopilot's check has."""
+    known = [parameter for autopilot in Autopilot for parameter in names(autopilot)]
+    if name.isupper() and name not in known:
+        begin = [parameter for parameter in known if parameter.startswith(name)]
+        near = ", ".join(begin or difflib.get_close_matches(name, known, cutoff=0.5) or known)
+        raise UsageError(f"--waive {name} is not a check; near it are {near}")
 
 
 def inspect(command: RunCommand, link: MavlinkLink) -> list[Finding]:

@@ -16,8 +16,10 @@ FENCE_M = 1000.0  # no small drone is in sight beyond it; our own fence is 300 m
 FENCE_HEIGHT_M = 150.0  # 120 m is the open category's limit in Europe, with room for braking
 
 WHERE: dict[Autopilot, str] = {
-    Autopilot.PX4: "type it into QGroundControl's MAVLink Console (Analyze Tools) or MAVProxy",
-    Autopilot.ARDUPILOT: "type it into MAVProxy, or set it in Mission Planner's or QGroundControl's parameter list",
+    Autopilot.PX4: "type it into QGroundControl's MAVLink Console (Analyze Tools) or MAVProxy; "
+    "for `python -m sim.autopilot`, start it with --set NAME=VALUE",
+    Autopilot.ARDUPILOT: "type it into MAVProxy, or set it in Mission Planner's or QGroundControl's parameter list; "
+    "for `python -m sim.autopilot`, start it with --set NAME=VALUE",
 }
 """Where a person types `param set NAME VALUE`."""
 

@@ -17,7 +17,7 @@ from follow.recording.rows import Desired
 from follow.recording.summary import Figures
 from racf import Racf
 from racf.box import Box
-from racf.commandline import Stopped, UsageError
+from racf.commandline import StopReported, UsageError
 from racf.evaluate.trackers import TrackerSpec
 from racf.tracker import warm_up
 
@@ -97,4 +97,4 @@ def conclude(
     if failure:
         raise RecordingError(failure)
     if not finished:
-        raise Stopped
+        raise StopReported

@@ -25,6 +25,7 @@ from follow.link.identity import Source
 REOPEN_S = 1.0  # a USB serial adapter takes about this long to come back
 CONNECT_TIMEOUT_S = 2.0
 READ_BYTES = 65536
+LAST_PORT = 65535
 
 
 class Reach(str, Enum):
@@ -71,18 +72,27 @@ class Transport(Protocol):
         ...
 
 
-def open_transport(uri: str) -> Transport:
-    """Open the transport that `uri` names.  Raises LinkError for a malformed `uri` or if it cannot be opened."""
+def parse_address(uri: str) -> tuple[str, str, int]:
+    """Kind, host or device, and port or baud rate of an address.  Raises LinkError for a malformed one."""
     kind, _, rest = uri.partition(":")
     name, _, number = rest.rpartition(":")
-    if kind not in ("udpin", "udpout", "tcp", "serial") or not name or not number.isdigit():
+    known = kind in ("udpin", "udpout", "tcp", "serial")
+    if not known or not name or not number.isdecimal() or (kind != "serial" and "/" in name):
         raise LinkError(
             f"a link is udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD, not {uri!r}"
         )
+    if kind != "serial" and int(number) > LAST_PORT:
+        raise LinkError(f"the port of a link is at most {LAST_PORT}, not {number}")
+    return kind, name, int(number)
+
+
+def open_transport(uri: str) -> Transport:
+    """Open the transport that `uri` names.  Raises LinkError for a malformed `uri` or if it cannot be opened."""
+    kind, name, number = parse_address(uri)
     try:
         if kind in ("udpin", "udpout"):
-            return UdpTransport(name, int(number), listens=kind == "udpin")
-        return TcpTransport(name, int(number)) if kind == "tcp" else SerialTransport(name, int(number))
+            return UdpTransport(name, number, listens=kind == "udpin")
+        return TcpTransport(name, number) if kind == "tcp" else SerialTransport(name, number)
     except (OSError, OverflowError, termios.error) as error:
         raise LinkError(f"the link {uri} cannot be opened: {error}") from None
 

@@ -6,6 +6,7 @@ same, by a stick that moves, or by another sender that steers the same vehicle; 
 
 import contextlib
 import os
+import re
 import select
 import signal
 import sys
@@ -33,6 +34,9 @@ HOLDING = ("HOLD", "BRAKE")
 
 KEYS = {"f": Order.FOLLOW, "o": Order.OBSERVE, " ": Order.OBSERVE}
 """Keys in the terminal; `q` ends the flight, `h` and `?` list the keys."""
+
+ESCAPES = re.compile(r"\x1b(?:\[[0-?]*[ -/]*[@-~]|O.|.)?")
+"""What a terminal sends for a key without a letter: End is ESC [ F, and must not be taken for the key f."""
 
 KEYS_HELP = "keys: f follow, o or space observe (give the vehicle back), q leave, h this list"
 
@@ -94,6 +98,7 @@ class Operator:
     leaving: str = ""  # why the program must end; empty: it must not
     mode: Mode = Mode.OBSERVE
     reason: Reason | None = None
+    ordered: bool = False  # whether FOLLOW was ordered in this round
     state: VehicleState = field(default_factory=lambda: VehicleState(NEVER))
     remote: Remote = field(init=False)
     changes: ModeChanges = field(init=False)
@@ -117,6 +122,7 @@ class Operator:
         if order is Order.OBSERVE:
             self.waiting.clear()
             return Instruction(order, Reason(Cause.OBSERVE_ORDERED, by), forbids)
+        self.ordered = True
         aimed = self.aim is not None and self.mode not in STREAMING and not forbids
         if aimed and self.aim is not None:
             self.aim()
@@ -129,6 +135,9 @@ class Operator:
             self.waiting.clear()
         if self.state.mode and tick.state.mode != self.state.mode:
             self.waiting.clear()
+        if self.ordered and decision.reason == self.reason and self.reason.cause is Cause.ORDER_REFUSED:
+            self.report(f"again: {self.reason}")  # the same words are no news to `changes`, but the order is
+        self.ordered = False
         self.mode, self.state, self.reason = decision.mode, tick.state, decision.reason
         self.changes.see(tick)
 
@@ -246,6 +255,7 @@ class Keys:
 
     def read_into(self, operator: Operator) -> None:
         """Pass the keys typed since the last call to the operator."""
+        unknown: set[str] = set()
         for key in self.typed():
             if key == "q":
                 operator.leave("key q")
@@ -253,6 +263,9 @@ class Keys:
                 operator.order(KEYS[key], name_of(key))
             elif key in "h?":
                 operator.report(KEYS_HELP)
+            elif key not in unknown:
+                unknown.add(key)
+                operator.report(f"{name_of(key)} orders nothing; {KEYS_HELP}")
 
     def refuse_early(self, report: Notify) -> None:
         """Refuse in words the keys typed before there is a flight to order.  Raises KeyboardInterrupt for `q`."""
@@ -270,7 +283,8 @@ class Keys:
         if self._file is None or not select.select([self._file], [], [], 0)[0]:
             return ""
         try:
-            return os.read(self._file, 64).decode(errors="replace").lower()
+            text = os.read(self._file, 64).decode(errors="replace")
+            return "".join(c for c in ESCAPES.sub("", text).lower() if c.isprintable())
         except OSError:  # the terminal was closed; SIGHUP reports it
             self._file = None
             return ""

@@ -29,7 +29,7 @@ WRITTEN = ("report.json", "tables.md", "precision*", "success*", "images.*", "pi
 WRITTEN_KINDS = {".json", ".md", ".png", ".svg"}
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Evaluation:
     """What an evaluation gave.
 
@@ -43,6 +43,12 @@ class Evaluation:
     summary: tuple[Table, ...]
     details: tuple[Table, ...]
     boxes: dict[str, dict[str, Boxes]]
+
+    def __repr__(self) -> str:
+        """The summary's tables: arrays and paths would be hundreds of lines."""
+        return "\n".join(table.markdown() for table in self.summary)
+
+    _repr_markdown_ = __repr__
 
     def figures(self) -> dict[str, TrackerFigures]:
         """Every figure by tracker: what `racf eval --json` prints (docs/evaluation.md)."""
@@ -89,7 +95,7 @@ def evaluate(
     jobs: int = 0,
     dask: str | None = None,
     progress: bool = True,
-    notify: Callable[[str], None] = to_stderr,
+    notify: Callable[[str], None] | None = None,
 ) -> Evaluation:
     """Run trackers over a benchmark's sequences once each and compare their boxes with the annotation.
 
@@ -108,13 +114,13 @@ def evaluate(
     out: folder for boxes, tables and plots; a later call with the same `out` goes on from the boxes there.
     images: with out, draw all boxes on frames of this number of sequences, those that tell the trackers apart most.
     jobs: processes (0: one for each core).  dask: address of a Dask scheduler to run on instead.
-    progress: show a bar on standard error.  notify: is given a line for each thing left out.
+    progress: show a bar on standard error.  notify: gets a line for each thing left out; None: printed.
     Paired differences are to the first tracker.  Raises ValueError for wrong arguments before anything runs.
     """
     root, folder = directory("root", root), None if out is None or out == "" else directory("out", out)
     jitter, jobs, images = whole("jitter", jitter), whole("jobs", jobs), images_of(images, folder)
     settings, imports, only = texts("settings", settings), texts("imports", imports), texts("only", only)
-    table, sweep, dask = table_number(table), sweep_of(sweep), address("dask", dask)
+    table, sweep, dask, notify = table_number(table), sweep_of(sweep), address("dask", dask), notify or to_stderr
     builders = _builders(_chosen(trackers, imports, table, sweep), settings)
     sequences = _sequences(root, benchmark, only, need_frames=images > 0)
     stored = import_boxes(imports, sequences, [b.label for b in builders], notify)

@@ -14,13 +14,15 @@ import sys
 import time
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, cast
 
 import tyro
 
 from follow.link.signing import EPOCH_S, UNITS_PER_S, read_key
 from follow.messages import Autopilot, Notify
+from racf.commandline import parse
 from sim.autopilot.keys import Console, Pilot
 from sim.autopilot.system import AutopilotSystem
 from sim.dynamics import Vehicle, VehicleTruth, Wind
@@ -203,9 +205,14 @@ def run(
 
 
 def read(words: Sequence[str]) -> Options:
-    """The options that the words spell; raises SystemExit for help and for words that are not understood."""
+    """The options that the words spell; raises SystemExit for help, ValueError for words that are not understood."""
+    for option, value in pairwise(words):
+        if option == "--set" and "=" not in value:
+            raise ValueError(f"--set must be NAME=VALUE with a finite number, not {value!r}")
     markers = (tyro.conf.EnumChoicesFromValues,)
-    return tyro.cli(Options, args=words, prog="python -m sim.autopilot", description=__doc__, config=markers)
+    return cast(
+        Options, parse(Options, words, prog="python -m sim.autopilot", description=__doc__ or "", config=markers)
+    )
 
 
 def report(line: str) -> None:
@@ -215,7 +222,11 @@ def report(line: str) -> None:
 
 def main() -> None:
     """Run until interrupted; bad options are one sentence and exit status 2."""
-    options = read(sys.argv[1:])
+    try:
+        options = read(sys.argv[1:])
+    except ValueError as error:
+        report(str(error))
+        sys.exit(2)
     addresses = {"--link": options.link} | ({"--gcs": options.gcs} if options.gcs else {})
     with contextlib.ExitStack() as stack:
         try:

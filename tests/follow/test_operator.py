@@ -366,3 +366,30 @@ def test_an_early_key_is_refused_in_words_and_not_echoed(monkeypatch):
             with pytest.raises(KeyboardInterrupt):
                 keys.refuse_early(lines.append)
         assert termios.tcgetattr(theirs)[3] & termios.ECHO
+
+
+def test_a_key_without_a_letter_orders_nothing_and_another_is_answered(monkeypatch):
+    """End is ESC [ F and F1 is ESC O P: in lower case they would order FOLLOW and OBSERVE."""
+    ours, theirs = pty.openpty()
+    with open(ours, "wb", buffering=0) as person, open(theirs) as terminal:
+        monkeypatch.setattr("sys.stdin", terminal)
+        d = desk()
+        with Keys() as keys:
+            person.write(b"\x1b[F\x1bOP\x1b[1;5D\x1b[3~\t")
+            keys.read_into(d.operator)
+            assert (d.operator.waiting, d.lines) == ([], [])
+            person.write(b"xxf")
+            keys.read_into(d.operator)
+        assert [line.partition(";")[0] for line in d.lines] == ["key x orders nothing"]
+        assert d.operator.waiting == [(Order.FOLLOW, "key f")]
+
+
+def test_each_refused_order_is_answered():
+    d = desk()
+    d.reason = Reason(Cause.ORDER_REFUSED, "the vehicle is in BRAKE")
+    d.hold("observe", 3)  # the first refusal
+    for _ in range(2):
+        d.operator.order(Order.FOLLOW, "key f")
+        d.hold("observe", 3)
+    assert [line.partition(": ")[2] for line in d.lines].count("FOLLOW refused: the vehicle is in BRAKE") == 2
+    assert sum("FOLLOW refused" in line for line in d.lines) == 3, "in no other round"

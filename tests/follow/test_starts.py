@@ -56,3 +56,48 @@ def test_ctrl_c_in_a_flight_is_said_once(capfd, brief, tmp_path, monkeypatch):
     assert status == 1
     assert "stopped by Ctrl-C: everything up to here is recorded" in err
     assert "error" not in err
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("--link", "udp:127.0.0.1:14540"), "a link is udpin:HOST:PORT"),
+        (("--link", "udpin://127.0.0.1:14540"), "a link is udpin:HOST:PORT"),
+        (("--link", "udpin:127.0.0.1:70000"), "at most 65535"),
+        (("--waive", "GF_MAX"), "near it are GF_MAX_"),
+        (("--camera", "rtsp:127.0.0.1/x"), "rtsp:127.0.0.1/x"),
+        (("--servo.standoff-m", "2"), "servo.standoff_m 2 lies below limits.min_standoff_m 4"),
+    ],
+)
+def test_what_no_vehicle_is_needed_to_refuse_is_refused_before_anything(capfd, tmp_path, monkeypatch, words, says):
+    monkeypatch.setattr("follow.cli.run.warm_up", lambda: pytest.fail("the tracker was warmed"))
+    given = {"--link": "udpin:127.0.0.1:0", "--camera": "0", "--target": "1,2,30,40", "--out": tmp_path / "out"}
+    given |= dict([words])
+    status, err = follow(capfd, "run", *(word for pair in given.items() for word in pair))
+    assert status in {1, 2}
+    assert err.count("\n") == 1
+    assert says in err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_stand_off_below_the_gates_minimum_is_refused_until_that_is_lowered(capfd, brief, tmp_path):
+    words = ("sim", brief, "--record.no-pictures", "--out", tmp_path / "out", "--servo.standoff-m", "3.5")
+    status, err = follow(capfd, *words)
+    assert status == 2
+    assert "raise the one or lower the other" in err
+    assert follow(capfd, *words, "--limits.min-standoff-m", "3")[0] == 0
+
+
+def test_doctor_says_of_a_scene_and_of_a_missing_key_what_they_are(capfd, tmp_path):
+    _, err = follow(capfd, "doctor", "--camera", "scene:walker", "--out", tmp_path)
+    assert "ok camera: a drawn scene" in err
+    words = ("--link", "udpin:127.0.0.1:0", "--signing-key", tmp_path / "nokey")
+    _, err = follow(capfd, "doctor", *words, "--out", tmp_path)
+    assert f"red signing: {tmp_path / 'nokey'}: No such file or directory; the link is not checked" in err
+
+
+def test_the_version_is_told(capfd):
+    with pytest.raises(SystemExit) as stop:
+        main(["--version"])
+    assert stop.value.code == 0
+    assert capfd.readouterr().out.startswith("follow 0.")

@@ -1,5 +1,6 @@
 """The evaluation as a library: what the command does, with trackers of your own, and compared with earlier results."""
 
+import inspect
 import json
 import os
 import subprocess
@@ -324,3 +325,10 @@ def test_kernels_are_compiled_here_before_other_processes_load_them(data, tmp_pa
     pids = trail.read_text().split()
     assert pids[0] == str(os.getpid())
     assert len(set(pids)) > 1
+
+
+def test_an_evaluation_shows_its_summary_and_the_function_no_address(data):
+    shown = evaluate(data, trackers="racf-", jobs=1, progress=False)
+    assert repr(shown) == "\n".join(table.markdown() for table in shown.summary)
+    assert len(str(shown).splitlines()) < 20
+    assert "0x" not in str(inspect.signature(evaluate))

@@ -183,6 +183,8 @@ SETTING = "--set must be NAME=VALUE with a finite number, not"
         ("--seed", "-1", f"--seed {NUMBER} -1"),
         *[("--speedup", bad, f"--speedup must be a finite number above 0, not {bad}") for bad in ("nan", "0", "-2")],
         ("--heading-deg", "nan", "--heading-deg must be a finite number, not nan"),
+        ("--height", "6", "there is no option --height"),
+        ("--set", "GUID_TIMEOUT", "--set must be NAME=VALUE with a finite number, not 'GUID_TIMEOUT'"),
     ],
 )
 def test_a_bad_option_is_one_sentence_that_names_option_rule_and_value(option, value, said, monkeypatch, capsys):
