@@ -135,7 +135,7 @@ class Operator:
             self.waiting.clear()
         if self.state.mode and tick.state.mode != self.state.mode:
             self.waiting.clear()
-        if self.ordered and decision.reason == self.reason and self.reason.cause is Cause.ORDER_REFUSED:
+        if self.ordered and decision.reason == self.reason and decision.reason.cause is Cause.ORDER_REFUSED:
             self.report(f"again: {self.reason}")  # the same words are no news to `changes`, but the order is
         self.ordered = False
         self.mode, self.state, self.reason = decision.mode, tick.state, decision.reason

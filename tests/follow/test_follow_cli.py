@@ -188,7 +188,7 @@ def test_an_unknown_tracker_and_a_box_outside_are_refused(capfd, footage, tmp_pa
     words = ("replay", footage, "--out", tmp_path)
     assert follow(capfd, *words, "--target", "1,2,3,4", "--tracker", "nonsense")[0] == 2
     status, _, err = follow(capfd, *words, "--target", "9000,9000,10,10")
-    assert status == 1
+    assert status == 2
     assert "9000" in err
 
 
