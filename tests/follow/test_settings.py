@@ -222,7 +222,7 @@ def test_a_file_with_a_byte_order_mark_is_read(tmp_path):
         ("[limits]\nfloor_m = 200.0", "the floor 200 m must lie below the ceiling 100 m"),
         ("[camera]\nfov_deg = 200", "1..170 degrees, not 200"),
         ("[camera]\ndelay_s = 2", "0..1 s, not 2"),
-        ("[servo]\nmode = 'hover'", "servo.mode must be one of 'chase', 'centre'"),
+        ("[servo]\nmode = 'hover'", "servo.mode must be one of 'chase', 'spotlight'"),
         ("[servo]\nstandoff_m = 0", "servo setting standoff_m must be a positive number, not 0"),
         ("[servo]\nfeed_forward = -1", "feed_forward must be zero or a positive number, not -1"),
         ("[servo]\norbit_m_s = inf", "orbit_m_s must be a finite number, not inf"),
