@@ -35,7 +35,7 @@ class CameraConfig:
     down_deg: float | None = None
     """Angle of the optical axis below the nose. Derived: that of the drawn scene, else 30 degrees."""
     delay_s: float = 0.0
-    """Delay from exposure to arrival of a device, stream or drawn scene; docs/service says how to measure it."""
+    """Delay from exposure to arrival of a device, stream or drawn scene; `follow doctor --wave` measures it."""
 
     def __post_init__(self) -> None:
         if not 1 <= self.fov_deg <= 170:

@@ -99,7 +99,9 @@ def require_one_to_one(lens: Intrinsics) -> None:
     curve = radial(lens.model, lens.distortion)
     reached = undistort(lens, (edge - (lens.cx, lens.cy)) / (lens.fx, lens.fy))
     t = np.hypot(reached[:, 0], reached[:, 1])
-    beyond = t > (math.tan(curve.end) if lens.model is LensModel.FISHEYE and curve.end < math.pi / 2 else curve.end)
+    if lens.model is LensModel.FISHEYE:
+        t = np.arctan(t)
+    beyond = t > curve.end
     if beyond.any():
         worst = float(np.min(np.hypot(*(edge[beyond] - (lens.cx, lens.cy)).T)))
         raise ValueError(

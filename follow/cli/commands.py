@@ -7,6 +7,8 @@ from typing import Annotated
 
 import tyro
 
+from follow.camera.board import MARKER_FRACTION, Pattern
+from follow.camera.lens_fit import LensKind
 from follow.config import CameraConfig, Config, TargetKind
 from follow.geometry import Intrinsics
 from follow.messages import Autopilot
@@ -18,6 +20,8 @@ Settings = Annotated[Config, tyro.conf.arg(name="")]
 ForWhom = Annotated[TargetKind | None, tyro.conf.arg(name="for")]
 
 TRACKER = "racf,robust"
+
+LEAST_WAVE_S, LONGEST_WAVE_S = 8.0, 120.0
 
 
 def require_system_id(system_id: int | None) -> None:
@@ -189,13 +193,23 @@ class DoctorCommand:
     """Tracker that is timed on the camera's frames."""
     out: Path = Path("out/run")
     """Folder where recordings would go; the camera's first image is written there."""
+    wave: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None
+    """Measure the camera's mount, field of view and delay while you turn the vehicle in your hands for this long, s,
+    propellers off, and compare them with the settings. Default: not measured; 20 is enough."""
     json: bool = False
     """Print the findings as JSON on standard output."""
+    settings: Path | None = None
+    """TOML file of the settings listed below, as docs/service/settings.toml. Options override it."""
+    config: Settings = field(default_factory=Config)
 
     def __post_init__(self) -> None:
         require_system_id(self.system_id)
         if self.camera is None and self.link is None:
             raise ValueError("nothing to check: give --camera SOURCE, --link ADDRESS or both")
+        if self.wave is not None and (self.camera is None or self.link is None):
+            raise ValueError("--wave compares the image with the attitude: give --camera SOURCE and --link ADDRESS")
+        if self.wave is not None and not LEAST_WAVE_S <= self.wave <= LONGEST_WAVE_S:
+            raise ValueError(f"--wave lies in {LEAST_WAVE_S:g}..{LONGEST_WAVE_S:g} s, not {self.wave:g}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -237,7 +251,49 @@ class ReportCommand:
     """File of the page. Default: DIR/report.html."""
 
 
-Command = ReplayCommand | SimCommand | RunCommand | DoctorCommand | InspectCommand | ReflyCommand | ReportCommand
+@dataclass(frozen=True, slots=True)
+class CalibrateCommand:
+    """Write a camera file from a video or a folder of images of a calibration board.
+
+    - Show the board in the whole image, also in its corners, near and far.
+    - Tilt it by 20 to 40 degrees to all sides.
+    - Move it slowly, in good light: blurred images are left out.
+    """
+
+    source: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")]
+    """Video file, or folder of images, in the mode of the camera that is flown."""
+    board: Annotated[str, tyro.conf.arg(metavar="COLUMNSxROWS")] = "9x6"
+    """Inner corners of a checkerboard (where four squares meet), or squares of a ChArUco board."""
+    pattern: Pattern = Pattern.CHECKERBOARD
+    """What is printed on the board."""
+    square_m: float = 0.025
+    """Side of a square, m. The lens does not depend on it."""
+    dictionary: str = "DICT_4X4_50"
+    """OpenCV's dictionary of the markers of a ChArUco board."""
+    marker_fraction: float = MARKER_FRACTION
+    """Side of a marker of a ChArUco board over that of a square."""
+    lens: LensKind = LensKind.PINHOLE
+    """Model that is fitted: pinhole (5 coefficients) or fisheye (4, for wide lenses)."""
+    out: Path = Path("camera.yaml")
+    """File to write, OpenCV's YAML; a plot goes beside it, with the ending .png."""
+
+    def __post_init__(self) -> None:
+        if not 0 < self.marker_fraction < 1:
+            raise ValueError(f"--marker-fraction lies between 0 and 1, not {self.marker_fraction:g}")
+        if self.out.is_dir() or self.out.suffix == ".png":
+            raise ValueError(f"--out must be a file to write, not ending in .png; {str(self.out)!r} is not one")
+
+
+Command = (
+    ReplayCommand
+    | SimCommand
+    | RunCommand
+    | DoctorCommand
+    | InspectCommand
+    | ReflyCommand
+    | ReportCommand
+    | CalibrateCommand
+)
 
 
 def lens_of(camera: CameraConfig, width: int, height: int) -> Intrinsics:

@@ -15,6 +15,8 @@ from follow.camera.names import is_live
 from follow.camera.video import open_replay
 from follow.cli.commands import DoctorCommand
 from follow.cli.layers import SCENE
+from follow.cli.wave import wave
+from follow.config import CameraConfig
 from follow.flight import preflight as doctor
 from follow.flight.finding import Finding, Health, NotFitError, is_fit, places
 from follow.flight.image_checks import check_images
@@ -32,8 +34,11 @@ CAMERA_S = 3.0  # as long as the gaps between frames are watched
 BOX_SHARE = 6  # the timed target is a sixth of the image's height, as a person some 10 m away is
 
 
-def diagnose(command: DoctorCommand) -> None:
-    """Look, report each finding, and raise NotFitError when one of them is red."""
+def diagnose(command: DoctorCommand, drawn: CameraConfig | None = None) -> None:
+    """Look, report each finding, and raise NotFitError when one of them is red.
+
+    `drawn` is the camera that a scene draws where it is not the one that is believed: for tests of --wave.
+    """
     if command.out.exists() and not command.out.is_dir():
         raise UsageError(f"--out must be a folder; {command.out} is a file")
     terminal = Terminal()
@@ -44,10 +49,13 @@ def diagnose(command: DoctorCommand) -> None:
         for finding in found:
             terminal.report(str(finding))
 
-    if command.camera is not None:
+    is_waved_scene = command.wave is not None and (command.camera or "").startswith(SCENE)
+    if command.camera is not None and not is_waved_scene:
         say(look(command.camera, command.tracker, command.out, terminal))
     if command.link is not None:
         say(listen(command.link, command.system_id, command.signing_key, terminal.report))
+    if command.wave is not None:
+        say(wave(command, terminal, drawn))
     say([doctor.check_disk(command.out), doctor.check_time(command.signing_key is not None, time.time())])
     if command.json:
         sys.stdout.write(json.dumps([asdict(finding) for finding in findings], indent=1) + "\n")

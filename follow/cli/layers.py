@@ -20,6 +20,7 @@ import tyro
 
 from follow.cli import described
 from follow.cli.commands import (
+    CalibrateCommand,
     Command,
     DoctorCommand,
     InspectCommand,
@@ -48,6 +49,7 @@ NAMES: dict[str, type[Any]] = {
     "inspect": InspectCommand,
     "refly": ReflyCommand,
     "report": ReportCommand,
+    "calibrate": CalibrateCommand,
 }
 METAVARS: dict[Any, str] = {bool: "", int: "INT", float: "FLOAT"}
 

@@ -4,7 +4,15 @@ import sys
 from collections.abc import Sequence
 
 from follow.camera import CameraError
-from follow.cli.commands import DoctorCommand, ReflyCommand, ReplayCommand, ReportCommand, RunCommand, SimCommand
+from follow.cli.commands import (
+    CalibrateCommand,
+    DoctorCommand,
+    ReflyCommand,
+    ReplayCommand,
+    ReportCommand,
+    RunCommand,
+    SimCommand,
+)
 from follow.cli.layers import read, settings_of, without_scene
 from follow.flight.finding import NotFitError
 from follow.link import LinkError
@@ -42,6 +50,10 @@ def execute(words: Sequence[str]) -> None:
         from follow.recording.report import write_report
 
         write_report(command.flight, command.out)
+    elif isinstance(command, CalibrateCommand):
+        from follow.cli.calibrate import calibrate
+
+        calibrate(command)
     else:
         from follow.recording.viewer import show
 

@@ -26,6 +26,7 @@ from racf.commandline import parse
 from sim.autopilot.keys import Console, Pilot
 from sim.autopilot.system import AutopilotSystem
 from sim.dynamics import Vehicle, VehicleTruth, Wind
+from sim.waving import WavedVehicle
 
 LAST_PORT = 65535
 STEP_S = 0.005  # twice as often as the fastest telemetry in practice
@@ -49,6 +50,8 @@ class Options:
     """Height at the start, m. Above 0 the vehicle is armed and hovers there; at 0 it stands on the ground, disarmed."""
     heading_deg: float = 0.0
     """Heading at the start, degrees clockwise from north."""
+    wave: bool = False
+    """It is not flown: somebody turns it in their hands, disarmed, as for `follow doctor --wave`."""
     wind_m_s: float = 0.0
     """Steady wind toward the east, m/s."""
     seed: int = 0
@@ -121,6 +124,8 @@ def check(options: Options) -> None:
             raise ValueError(f"{option} must be a finite number of at least 0, not {value:g}")
     if not 0.0 < options.speedup < math.inf:
         raise ValueError(f"--speedup must be a finite number above 0, not {options.speedup:g}")
+    if options.wave and options.height_m > 0.0:
+        raise ValueError("--wave is a vehicle in the hands: without --height-m")
     if not math.isfinite(options.heading_deg):
         raise ValueError(f"--heading-deg must be a finite number, not {options.heading_deg:g}")
 
@@ -162,7 +167,10 @@ def build(options: Options) -> AutopilotSystem:
     check(options)
     start = VehicleTruth(down_m=-options.height_m, yaw_rad=math.radians(options.heading_deg))
     wind = Wind(options.wind_m_s, toward_rad=math.pi / 2)
-    vehicle = Vehicle(options.autopilot, start, wind, options.seed)
+    if options.wave:
+        vehicle: Vehicle = WavedVehicle(options.autopilot, start)
+    else:
+        vehicle = Vehicle(options.autopilot, start, wind, options.seed)
     key = read_key(options.signing_key) if options.signing_key else None
     links = 2 if options.gcs else 1
     signing_time = round((time.time() - EPOCH_S) * UNITS_PER_S)
