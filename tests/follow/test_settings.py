@@ -264,7 +264,7 @@ def test_the_option_without_a_file_is_wrong_use(capfd):
 
 
 def test_a_command_without_settings_refuses_the_option(capfd):
-    assert main(["inspect", "--settings", str(EXAMPLE)]) == 2
+    assert main(["inspect", "x", "--settings", str(EXAMPLE)]) == 2
     assert "--settings" in capfd.readouterr().err
 
 
