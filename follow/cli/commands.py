@@ -222,9 +222,10 @@ class InspectCommand:
 
 @dataclass(frozen=True, slots=True)
 class ReflyCommand:
-    """Let a recorded flight's tracks, states and times go through estimate, servo and gate again.
+    """Fly a recorded flight's tracks and states through estimate, servo and gate.
 
-    - With the recorded settings the outcome must be equal to the last bit: exit status 1 if it is not.
+    - With the recorded settings the outcome must be equal to the last bit.
+    - Exit status 1 if it is not.
     - With others it shows what they would have sent. The vehicle goes where it went.
     """
 
@@ -243,7 +244,10 @@ class ReflyCommand:
 
 @dataclass(frozen=True, slots=True)
 class ReportCommand:
-    """Write one self-contained HTML page about a flight: modes and why, losses, limits, timing, link, messages."""
+    """Write one self-contained HTML page about a flight.
+
+    It shows modes and why, losses, limits, timing, link and messages.
+    """
 
     flight: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
     """Folder of the flight."""

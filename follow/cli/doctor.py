@@ -49,8 +49,7 @@ def diagnose(command: DoctorCommand, drawn: CameraConfig | None = None) -> None:
         for finding in found:
             terminal.report(str(finding))
 
-    is_waved_scene = command.wave is not None and (command.camera or "").startswith(SCENE)
-    if command.camera is not None and not is_waved_scene:
+    if command.camera is not None:
         say(look(command.camera, command.tracker, command.out, terminal))
     if command.link is not None:
         say(listen(command.link, command.system_id, command.signing_key, terminal.report))
