@@ -30,7 +30,11 @@ class Track:
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             m = self.real.pilot.heard("LOCAL_POSITION_NED")
-            self.samples.append((time.monotonic() - self.began_s, m.x, m.y, math.hypot(m.vx, m.vy)))
+            now = time.monotonic() - self.began_s
+            # A PX4 that stays reports up to 0.5 m/s, and one that is told to stand moves by as much: the lesser counts.
+            old = next((s for s in self.samples if s[0] >= now - 1.0), None)
+            moved = math.dist(old[1:3], (m.x, m.y)) / (now - old[0]) if old and now > old[0] else math.inf
+            self.samples.append((now, m.x, m.y, min(moved, math.hypot(m.vx, m.vy))))
 
     def stop(self) -> tuple[float | None, float]:
         """Seconds and metres until it stood for good; None when it never did."""
