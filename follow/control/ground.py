@@ -23,7 +23,7 @@ LOW_M = 2.0
 """Lower than this over the ground, a height says too little of the range: a kerb is a tenth of it."""
 
 BETTER = 0.7
-"""The start counts again only when its ratio_std is this much lower: its error is one and the same."""
+"""The start counts again only when its said_std is this much lower: its error is one and the same."""
 
 LEAST_SIZE_STD = 0.03
 """The size is never better known: the parallax beside a car was 3 % too high throughout."""
@@ -83,6 +83,11 @@ class GroundWord:
     def ratio_std(self) -> float:
         """Standard deviation of ln height - ln by_size, the size's own apart."""
         return math.hypot(self.own_std_m, self.std_m) / self.lowest_m
+
+    @property
+    def said_std(self) -> float:
+        """The source's own standard deviation, as a fraction of the lower height."""
+        return self.std_m / self.lowest_m
 
     @property
     def clear(self) -> bool:
@@ -164,14 +169,14 @@ class GroundSources:
             word = ground_word(f, here, middle, ground_down_m, std_m)
             if max(word.by_size_m, word.height_m) < LOW_M:
                 continue
-            if source is Source.START and word.ratio_std >= BETTER * self.believed.get(source, math.inf):
+            if source is Source.START and word.said_std >= BETTER * self.believed.get(source, math.inf):
                 continue
             prior = replace(word, by_size_m=word.by_size_m * size_m / f.size_m)
             if prior.sigmas(size_std) > c.contradiction_sigmas:
                 self.contradict(source, prior, size_m)
             else:
                 f = grounded(f, here, velocity, middle, replace(word, std_m=CORRELATED[source] * word.std_m))
-                self.believed[source] = word.ratio_std
+                self.believed[source] = word.said_std
         return f
 
     def reset(self) -> None:

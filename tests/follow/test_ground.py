@@ -56,6 +56,16 @@ def test_a_height_as_expected_makes_it_more_certain_and_never_more_than_kalmans_
     assert np.all(np.diag(after.covariance) <= np.diag(f.covariance) + 1e-12)
 
 
+def test_the_start_counts_once_because_its_error_is_one_and_the_same():
+    f, sources, state = first(), GroundSources(), VehicleState(t_s=0.0, down_m=-8.0)
+    variances = []
+    for _ in range(20):
+        f = sources.correct(f, POSE, state, (SIZE_M, SIZE_STD, MIDDLE), TRUST)
+        variances.append(f.size_var)
+    assert variances[0] < SIZE_STD**2
+    assert set(variances) == {variances[0]}
+
+
 @given(st.floats(-16.0, 16.0))
 def test_the_range_that_counts_is_the_nearer_one_of_sources_that_contradict_each_other(off_m):
     f, sources = first(), GroundSources()

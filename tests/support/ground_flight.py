@@ -47,13 +47,14 @@ def walk(speed_m_s: float, from_m: float = 12.0, after_s: float = 4.0) -> Path:
 class BoxErrors:
     """Errors of a box: white and slowly varying (first-order Gauss-Markov) parts, radians and ln size.
 
-    As RACF's were measured (docs/estimate.md): correlation 0.8 over 0.5 s and 0.6 over 2 s.
+    As RACF's were measured (docs/estimate.md): 0.005 rad, correlation 0.8 over 0.5 s and 0.6 over 2 s; and as much
+    of the autopilot's attitude.
     """
 
     white_rad: float = 0.001
-    slow_rad: float = 0.005
+    slow_rad: float = 0.007
     white_size: float = 0.01
-    slow_size: float = 0.05
+    slow_size: float = 0.055
     slow_s: float = 4.0
 
 
