@@ -1,21 +1,29 @@
 """When setpoints arrive: `follow run` at 30 frames/s, recording, against `python -m sim.autopilot` over UDP.
 
-    python -m benchmarks.setpoint_timing --seconds 60 [--autopilot ardupilot] [--let-cores-sleep]
+    python -m benchmarks.setpoint_timing --seconds 60 [--autopilot ardupilot] [--let-cores-sleep] [--disk-stall 5]
 
 A relay between the two notes when each setpoint passes.  Prints the intervals and the time from a frame to its
 setpoint; exits 1 when their p99 is above 60 ms or one is above 150 ms.  It also prints how much of this machine's
 time its host gave to others, and the intervals during which it gave none: on a shared machine that decides.
 The cores are kept awake by processes of the lowest priority, for a virtual machine that sleeps is woken late; a real
 one has its governor at performance (docs/service).
+
+With `--disk-stall` the recording goes to a file system of its own that is frozen for this many seconds in the middle of
+the measurement: every write to it waits (needs root, mkfs.ext4 and fsfreeze).
 """
 
 import argparse
+import contextlib
 import csv
 import itertools
+import json
 import os
+import subprocess
 import sys
 import tempfile
+import threading
 import time
+from collections.abc import Iterator
 from contextlib import nullcontext
 from pathlib import Path
 
@@ -45,6 +53,41 @@ def watched(seconds: float) -> Readings:
     return readings
 
 
+@contextlib.contextmanager
+def own_disk(folder: Path) -> Iterator[Path]:
+    """An empty file system in an image file, mounted in `folder`."""
+    image, mount = folder / "disk.img", folder / "disk"
+    mount.mkdir()
+    image.touch()
+    os.truncate(image, 256_000_000)
+    subprocess.run(["mkfs.ext4", "-q", str(image)], check=True)
+    subprocess.run(["mount", "-o", "loop", str(image), str(mount)], check=True)
+    try:
+        yield mount
+    finally:
+        subprocess.run(["umount", str(mount)], check=True)
+
+
+@contextlib.contextmanager
+def frozen(mount: Path, after_s: float, seconds: float) -> Iterator[None]:
+    """Freeze a file system for a while, beginning `after_s` from now."""
+
+    def freeze() -> None:
+        time.sleep(after_s)
+        subprocess.run(["fsfreeze", "--freeze", str(mount)], check=True)
+        try:
+            time.sleep(seconds)
+        finally:
+            subprocess.run(["fsfreeze", "--unfreeze", str(mount)], check=True)
+
+    thread = threading.Thread(target=freeze)
+    thread.start()
+    try:
+        yield
+    finally:
+        thread.join()
+
+
 def undisturbed(times: list[float], readings: Readings) -> NDArray[np.bool_]:
     """Of each interval between `times`, whether the host took nothing from two readings before it to two after it."""
     when, taken = np.array([t for t, _ in readings]), np.array([ticks for _, ticks in readings])
@@ -59,22 +102,36 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--autopilot", choices=("px4", "ardupilot"), default="px4")
     parser.add_argument("--let-cores-sleep", action="store_true")
+    parser.add_argument("--disk-stall", type=float, default=0.0, metavar="SECONDS")
     options = parser.parse_args()
-    with tempfile.TemporaryDirectory() as out, nullcontext() if options.let_cores_sleep else awake():
+    with contextlib.ExitStack() as stack:
+        out = stack.enter_context(tempfile.TemporaryDirectory())
+        if not options.let_cores_sleep:
+            stack.enter_context(awake())
+        if options.disk_stall:
+            out = str(stack.enter_context(own_disk(Path(out))))
         with real_flight(options.autopilot, Path(out), options=["--seconds", "600"]) as real:
             real.order()
             began, ticks = time.monotonic(), processor_ticks()
-            readings = watched(options.seconds)
+            stall = frozen(Path(out), options.seconds / 3, options.disk_stall) if options.disk_stall else nullcontext()
+            with stall:
+                readings = watched(options.seconds)
             end, taken = time.monotonic(), stolen(ticks, processor_ticks())
             times = [p.t_s for p in real.relay.setpoints() if began <= p.t_s <= end]
             real.application.end()
         with (Path(out) / "ticks.csv").open() as file:
             rows = [row for row in csv.DictReader(file) if row["frame"] and row["setpoint_forward_m_s"]]
+        summary = json.loads((Path(out) / "summary.json").read_text())
     intervals = 1e3 * np.diff(times)
     frames = np.array([float(row["frame_t_s"]) for row in rows])  # one machine, one monotonic clock
     latency = [1e3 * (t - frames[i - 1]) for t in times if (i := int(np.searchsorted(frames, t))) > 0]
     p50, p99 = np.percentile(intervals, (50, 99))
     print(f"{len(times)} setpoints in {options.seconds:g} s")
+    if options.disk_stall:
+        lost = ", ".join(
+            f"{name} {summary.get(name, 0)}" for name in ("recording_dropped", "rows_lost", "packets_lost")
+        )
+        print(f"the disk stood still for {options.disk_stall:g} s: {lost}")
     print(f"{os.cpu_count()} cores, {taken:.0%} of their time taken by the host")
     print(f"interval ms: p50 {p50:.1f}, p99 {p99:.1f}, largest {intervals.max():.1f}")
     quiet = intervals[undisturbed(times, readings)]

@@ -59,6 +59,9 @@ class ReplayCommand:
     module:Class. Settings follow after commas: `racf` alone is the paper's, the default of the program racf."""
     autopilot: Autopilot = Autopilot.PX4
     """Autopilot whose rules the pretended vehicle obeys."""
+    view: str | None = None
+    """Show the flight in Rerun while it flies: here (also without a word), web for a browser, or
+    rerun+http://HOST:PORT/proxy for a viewer on another computer. Default: not shown."""
     out: Path = Path("out/replay")
     """Output folder: flight.rrd, ticks.csv, settings.toml and summary.json."""
     json: bool = False
@@ -92,6 +95,9 @@ class SimCommand:
     tracker: str = TRACKER
     """Tracker: racf, racf-, racf-- (the fastest), bacf, arcf-hc; OpenCV's csrt, kcf, mil, nano, vit; or your own
     module:Class. Settings follow after commas: `racf` alone is the paper's, the default of the program racf."""
+    view: str | None = None
+    """Show the flight in Rerun while it flies: here (also without a word), web for a browser, or
+    rerun+http://HOST:PORT/proxy for a viewer on another computer. Default: not shown."""
     out: Path | None = None
     """Output folder: flight.rrd, ticks.csv, settings.toml, summary.json and flight.png; with --all one folder for each
     flight, and all.txt. Default: out/sim/SCENARIO, with --all out/sim."""
@@ -151,6 +157,9 @@ class RunCommand:
     tracker: str = TRACKER
     """Tracker: racf, racf-, racf-- (the fastest), bacf, arcf-hc; OpenCV's csrt, kcf, mil, nano, vit; or your own
     module:Class. Settings follow after commas: `racf` alone is the paper's, the default of the program racf."""
+    view: str | None = None
+    """Show the flight in Rerun while it flies: here (also without a word), web for a browser, or
+    rerun+http://HOST:PORT/proxy for a viewer on another computer. Default: not shown."""
     out: Path = Path("out/run")
     """Output folder: flight.rrd, flight.tlog, ticks.csv, settings.toml and summary.json."""
     json: bool = False

@@ -55,7 +55,9 @@ def diagnose(command: DoctorCommand, drawn: CameraConfig | None = None) -> None:
         say(listen(command.link, command.system_id, command.signing_key, terminal.report))
     if command.wave is not None:
         say(wave(command, terminal, drawn))
-    say([doctor.check_disk(command.out), doctor.check_time(command.signing_key is not None, time.time())])
+    if not any(finding.name == "disk" for finding in findings):
+        say([doctor.check_disk(command.out)])
+    say([doctor.check_time(command.signing_key is not None, time.time())])
     if command.json:
         sys.stdout.write(json.dumps([asdict(finding) for finding in findings], indent=1) + "\n")
     for place in places(findings):
@@ -89,6 +91,7 @@ def look(source: str, tracker: str, out: Path, terminal: Terminal) -> list[Findi
         timed.update(kept[0].image)  # its first frame starts it
         fps = (len(kept) - 1) / (kept[-1].t_s - kept[0].t_s)
         findings += [check_images(kept), doctor.check_tracker(timed.update, kept[1:], fps)]
+        findings.append(doctor.check_disk(out, (columns, rows)))
     return findings
 
 

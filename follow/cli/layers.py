@@ -70,6 +70,15 @@ def read(words: Sequence[str], scenario: str | None = None) -> Command:
         raise UsageError(str(error)) from None
 
 
+def with_view(words: Sequence[str]) -> list[str]:
+    """The words with `here` after a `--view` that names no viewer."""
+    full: list[str] = []
+    for word, following in itertools.zip_longest(words, words[1:], fillvalue=""):
+        names_viewer = following in ("here", "web") or "://" in following
+        full += [word, "here"] if word == "--view" and not names_viewer else [word]
+    return full
+
+
 def settings_of(words: Sequence[str], scenario: str) -> Config:
     """The settings with which the words fly a scenario.  Raises UsageError."""
     command = read(words, scenario)

@@ -13,11 +13,11 @@ from follow.cli.commands import (
     RunCommand,
     SimCommand,
 )
-from follow.cli.layers import read, settings_of, without_scene
+from follow.cli.layers import read, settings_of, with_view, without_scene
 from follow.flight.finding import NotFitError
 from follow.link import LinkError
 from follow.recording.recorder import RecordingError
-from racf.commandline import guarded
+from racf.commandline import UsageError, guarded
 
 # Each command's parts are imported when it is run: the help does not wait for the tracker's kernels.
 # ruff: noqa: PLC0415
@@ -25,7 +25,15 @@ from racf.commandline import guarded
 
 def execute(words: Sequence[str]) -> None:
     """Run the command that the words spell."""
+    words = with_view(words)
     command = read(words)
+    if isinstance(command, ReplayCommand | SimCommand | RunCommand) and command.view is not None:
+        from follow.recording.viewer import check_view
+
+        try:
+            check_view(command.view)
+        except ValueError as error:
+            raise UsageError(str(error)) from None
     if isinstance(command, ReplayCommand):
         from follow.cli.replay import replay
 

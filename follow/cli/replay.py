@@ -82,7 +82,7 @@ def replay_into(command: ReplayCommand, box: Box, truth: Annotations | None) -> 
         kept, down_rad = kept_geometry(geometry, config.camera.down_rad), config.camera.down_rad
         flown_with = as_toml(replace(config, servo=geometry, limits=limits))
         setup = Setup(lens, down_rad, flown_with, command.ptz, about)
-        record = partial(Recorder, waits=True, about=about, desired=kept, setup=setup)
+        record = partial(Recorder, waits=True, about=about, desired=kept, setup=setup, view=command.view)
         with link, record(command.out, config.record, terminal.report) as recorder:
             terminal.listeners.append(recorder.message)
             recorder.settings(as_toml(command.config, config))

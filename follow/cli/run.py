@@ -31,6 +31,7 @@ from follow.control.target import Target
 from follow.flight.finding import Finding
 from follow.flight.live_flight import LogForwarder, Parts, fly, preflight, unwaived
 from follow.flight.parameters import names
+from follow.flight.preflight import check_disk
 from follow.flight.session import acquire, conclude, keep_flight, kept_geometry
 from follow.geometry import Intrinsics
 from follow.link import Link
@@ -140,7 +141,8 @@ def check_waiver(name: str) -> None:
 def inspect(command: RunCommand, link: MavlinkLink) -> list[Finding]:
     """The checks before this flight."""
     camera, signs = is_camera(command.camera), command.signing_key is not None
-    return preflight(link, command.out, signs=signs, live_camera=camera, simulated=command.simulated)
+    disk = check_disk(command.out, None, command.config.record, command.seconds)
+    return preflight(link, disk, signs=signs, live_camera=camera, simulated=command.simulated)
 
 
 def fly_live(command: RunCommand, bare: Any) -> None:
@@ -259,7 +261,7 @@ def begin_recording(
     about = f"# follow run {command.link} {command.camera}\n\ntracker {command.tracker}"
     kept = kept_geometry(seen.config.servo, seen.down_rad)
     setup = Setup(seen.lens, seen.down_rad, as_toml(seen.config), about=about)
-    record = partial(Recorder, waits=False, about=about, clock=time.time, desired=kept, setup=setup)
+    record = partial(Recorder, waits=False, about=about, clock=time.time, desired=kept, setup=setup, view=command.view)
     with record(command.out, command.config.record, terminal.report) as recorder:
         for line in early:
             recorder.message(line)

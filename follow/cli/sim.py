@@ -48,6 +48,7 @@ class FlightSpec:
     out: Path
     drawn: CameraConfig | None = None  # what is drawn where it is not what is believed: for tests of a wrong mount
     scene: frozenset[str] = frozenset()  # names of the settings that nobody chose: the scenario's own
+    view: str | None = None  # where the flight is shown while it flies
 
     @property
     def name(self) -> str:
@@ -113,7 +114,7 @@ def simulate_into(flight: FlightSpec, terminal: Terminal, *, bar: bool) -> Flown
     flown: Figures = {"scenario": flight.scenario, "seed": flight.seed, "autopilot": flight.autopilot.value}
     keep_other_flight(flight.out, flown, terminal)
     kept, setup = kept_geometry(config.servo, down_rad), Setup(lens, down_rad, as_toml(config), about=about)
-    record = partial(Recorder, waits=True, about=about, desired=kept, setup=setup)
+    record = partial(Recorder, waits=True, about=about, desired=kept, setup=setup, view=flight.view)
     with camera, record(flight.out, config.record, terminal.report) as recorder:
         recorder.settings(as_toml(flight.config, config, flight.scene))
 
@@ -178,7 +179,7 @@ def sim(command: SimCommand, settings_of: Callable[[str], Config], bare: Any) ->
         autopilot = command.autopilot or Autopilot.PX4
         out = command.out or OUT / command.scenario
         flight = FlightSpec(command.scenario, command.seed, autopilot, command.tracker, command.config, out)
-        flight = replace(flight, scene=from_scene(command.scenario, command.config, bare))
+        flight = replace(flight, scene=from_scene(command.scenario, command.config, bare), view=command.view)
         flown = simulate(flight, terminal, bar=True)
         finished, failure = flown.finished, flown.failure
         conclude(flown.figures, flight.out, terminal, as_json=command.json, finished=finished, failure=failure)

@@ -9,13 +9,12 @@ import logging
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Protocol
 
 from follow.camera import Camera
 from follow.camera.realtime import NewPictures
 from follow.flight.finding import Finding, Health
-from follow.flight.preflight import check_disk, check_time
+from follow.flight.preflight import check_time
 from follow.flight.service import Service
 from follow.flight.vehicle_checks import check_sending, check_signing, check_simulator, check_vehicle
 from follow.link import Link
@@ -148,13 +147,13 @@ def fly(
             service.close()
 
 
-def preflight(link: MavlinkLink, out: Path, *, signs: bool, live_camera: bool, simulated: bool) -> list[Finding]:
-    """The checks of `follow doctor` before this flight; they take some ten seconds.
+def preflight(link: MavlinkLink, disk: Finding, *, signs: bool, live_camera: bool, simulated: bool) -> list[Finding]:
+    """The checks of `follow doctor` before this flight, with that of the disk; they take some ten seconds.
 
     Without a live camera only a simulator may be flown.
     """
     findings = check_vehicle(link.client, link.listen, time.monotonic)
-    findings += [check_disk(out), check_time(signs, time.time()), check_signing(link.client, signs, link.reach)]
+    findings += [disk, check_time(signs, time.time()), check_signing(link.client, signs, link.reach)]
     findings.append(check_sending(link.unsent))
     return findings if live_camera else [*findings, check_simulator(link.client, link.reach, said=simulated)]
 

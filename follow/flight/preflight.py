@@ -13,12 +13,18 @@ from numpy.typing import NDArray
 from follow.camera import Camera, CameraError
 from follow.flight.finding import Finding, Health
 from follow.messages import Frame
+from follow.recording.recorder import RecordConfig
+from follow.recording.video_encoder import Encoder, bits_per_s
 
 FRAME_AGE_S = 0.2  # the gate's limit (follow/safety/limits.py)
 LEAST_FPS = 10.0  # two frames within the gate's limit
 KEPT_FRAMES = 30  # for timing the tracker: a second of a usual camera
 TRACKER_FRACTION = 0.7  # of the time between two frames: the rest is for the loop and the recording
-LITTLE_DISK, NO_DISK = 5e9, 5e8  # bytes: an hour of recording takes some 2e9
+FLIGHT_S = 1800.0  # length of a flight that nobody limited: a battery's time
+USUAL_SIZE = (1280, 720)  # of frames that nobody has seen yet
+ROWS_BYTES_S = 45_000  # curves, rows, exact messages and packets: 2.7 MB a minute (benchmarks/recording_size.py)
+JPEG_BYTES_PX = 0.17  # of a frame as JPEG of quality 75: 40 kB at 640x360
+SPARE_FLIGHTS = 3  # fewer than these is a warning
 SENSIBLE_UNIX_S = 1.7e9  # November 2023: a clock before this was never set
 
 
@@ -77,14 +83,29 @@ def check_tracker(update: Callable[[NDArray[np.uint8]], object], frames: Sequenc
     return Finding("tracker", Health.OK, text)
 
 
-def check_disk(folder: Path) -> Finding:
-    """Free space for the recording."""
+def flight_bytes(size: tuple[int, int], config: RecordConfig, seconds: float = FLIGHT_S, fps: float = 30.0) -> float:
+    """How much a flight's recording takes at most, for frames of this size, width and height."""
+    frames = 0.0
+    if config.pictures:
+        jpeg = JPEG_BYTES_PX * size[0] * size[1] * fps
+        frames = jpeg if config.encoder is Encoder.JPEG else bits_per_s(size) / 8
+    return seconds * (frames + ROWS_BYTES_S)
+
+
+def check_disk(
+    folder: Path, size: tuple[int, int] | None = None, config: RecordConfig | None = None, seconds: float = 0.0
+) -> Finding:
+    """Free space against what a flight of `seconds` (0: a battery's time) with frames of this size takes."""
     existing = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
     free = shutil.disk_usage(existing).free
-    text = f"{free / 1e9:.1f} GB free for {folder}"
-    if free < NO_DISK:
+    size, seconds = size or USUAL_SIZE, seconds or FLIGHT_S
+    needed = flight_bytes(size, config or RecordConfig(), seconds)
+    flight = f"{seconds / 60:.0f} min at {size[0]}x{size[1]} take {needed / 1e9:.2f} GB"
+    text = f"{free / 1e9:.1f} GB free for {folder}; {flight}"
+    if free < needed:
         return Finding("disk", Health.RED, text, "free some space, or use another --out")
-    return Finding("disk", Health.WARN if free < LITTLE_DISK else Health.OK, text)
+    few = free < SPARE_FLIGHTS * needed
+    return Finding("disk", Health.WARN if few else Health.OK, text, "free some space" if few else "")
 
 
 def check_time(signs: bool, unix_s: float) -> Finding:

@@ -31,6 +31,9 @@ if TYPE_CHECKING:
 REPLACED = ("flight.rrd", "flight.png", "report.html", "refly.html")
 """What a new recording deletes: an old one would be taken for this flight's if this one breaks off."""
 
+VIEW_QUEUE = 2  # frames that wait for a viewer: the newest counts
+VIEW_CLOSE_S = 5.0  # maximum wait for a viewer at the end
+
 NO_IMAGE = np.empty((0, 0, 3), np.uint8)
 
 
@@ -81,8 +84,8 @@ class Recorder:
 
     `waits` lets the loop wait for the queues.  `clock` is the wall clock, seconds since 1970, read once, at the first
     tick; None in a simulation, whose recording then holds no wall-clock time.  With `setup` the flight can be flown
-    again (`follow refly`).  `failure` says what broke that should
-    not: the run must then not count as good.
+    again (`follow refly`); `view` shows it while it flies (`follow.recording.view`).  `failure` says what broke that
+    should not: the run must then not count as good.
     """
 
     def __init__(
@@ -96,6 +99,7 @@ class Recorder:
         clock: Callable[[], float] | None = None,
         desired: Desired | None = None,
         setup: Setup | None = None,
+        view: str | None = None,
     ) -> None:
         self.out = out
         self.summary = Summary()
@@ -122,6 +126,19 @@ class Recorder:
         self._images: Worker[RerunRecording] | None = None
         if config.pictures:
             self._images = Worker("the recording", make, report, config.queue, waits=waits)
+        self._view: Worker[RerunRecording] | None = None
+        if view is not None:
+
+            def show() -> "RerunRecording":
+                from follow.recording.view import to_viewer  # noqa: PLC0415 - as above
+
+                return to_viewer(view, about, desired, report)
+
+            self._view = Worker("the view", show, report, VIEW_QUEUE, waits=False)
+
+    @property
+    def _workers(self) -> "list[Worker[RerunRecording]]":
+        return [worker for worker in (self._images, self._view) if worker is not None]
 
     @property
     def failure(self) -> str:
@@ -138,8 +155,8 @@ class Recorder:
         self._rows.add(light, start_s, self._start_unix_s)
         if self._exact is not None:
             self._exact.add(light.tick, truth, self._start_unix_s)
-        if self._images is not None:
-            self._images.put(lambda recording: recording.tick(light), lambda recording: recording.images(scene))
+        for worker in self._workers:
+            worker.put(lambda recording: recording.tick(light), lambda recording: recording.images(scene))
         self._count += 1
 
     def message(self, text: str) -> None:
@@ -147,22 +164,24 @@ class Recorder:
         t_s = self._t_s
         if self._exact is not None:
             self._exact.message(t_s, text)
-        if self._images is not None:
-            self._images.put(lambda recording: recording.message(t_s, text))
+        for worker in self._workers:
+            worker.put(lambda recording: recording.message(t_s, text))
 
     def settings(self, toml: str) -> None:
         """Record the flight's settings, also as a file that `--settings` takes."""
         file = BackgroundFile(self.out / "settings.toml", self._report)
         file.write(toml.encode())
         file.close()
-        if self._images is not None:
-            self._images.put(lambda recording: recording.settings(toml))
+        for worker in self._workers:
+            worker.put(lambda recording: recording.settings(toml))
 
     def close(self, figures: Figures | None = None) -> Figures:
         """Write what is still queued and the summary with `figures` added; returns the summary."""
         self._closed = True
         if self._images is not None:
             self._images.close()
+        if self._view is not None:
+            self._view.close(VIEW_CLOSE_S)
         self._rows.close()
         if self._exact is not None:
             self._exact.close()

@@ -62,7 +62,9 @@ class RerunRecording:
         about: str = "",
         desired: Desired | None = None,
         pace: Pace | None = None,
+        flush_timeout_s: float = FLUSH_TIMEOUT_S,
     ) -> None:
+        self._flush_timeout_s = flush_timeout_s
         self._name, self._frames, self._pace = name, frames, pace or Pace()
         self._desired = desired or Desired()
         batches = rr.ChunkBatcherConfig(flush_tick=self._pace.flush_s, flush_num_bytes=1_000_000)
@@ -128,7 +130,7 @@ class RerunRecording:
     def flush(self) -> None:
         """Wait until everything logged so far is where it goes."""
         try:
-            self._recording.flush(timeout_sec=FLUSH_TIMEOUT_S)
+            self._recording.flush(timeout_sec=self._flush_timeout_s)
         except RuntimeError as error:  # Rerun writes the cause to its own log only
             raise OSError(f"{self._name} is no longer written: {error}; the flight goes on") from None
 

@@ -1,10 +1,16 @@
 """Opens a recording in Rerun's viewer."""
 
+import getpass
 import os
 import shutil
+import socket
 import subprocess
 import sys
+import urllib.parse
 from pathlib import Path
+
+HERE, WEB = "here", "web"
+SCHEMES = ("rerun+http", "rerun+https", "rerun")
 
 
 def recording(path: Path) -> Path:
@@ -26,12 +32,43 @@ def viewer() -> str:
     return found
 
 
+def has_display() -> bool:
+    """Whether a window can be opened here."""
+    return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
 def show(path: Path) -> None:
     """Open the viewer on a recording and wait until it is closed.  Raises OSError without a display, or if it fails."""
     found = recording(path)
     program = viewer()
-    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise OSError(f"no display here: copy {found} to a computer with one and run: rerun {found.name}")
+    if not has_display():
+        user, host = getpass.getuser(), socket.gethostname()
+        raise OSError(
+            f"no display here. On a computer with one: scp {user}@{host}:{found.resolve()} . && rerun {found.name} "
+            f"(pip install rerun-sdk). Or here: rerun --serve-web --bind 0.0.0.0 {found}, "
+            f"then http://{host}:9090 in a browser. Or follow report {found.parent}"
+        )
     status = subprocess.run([program, str(found)], check=False).returncode
     if status != 0:
         raise OSError(f"Rerun's viewer ended with status {status}")
+
+
+def check_view(view: str) -> None:
+    """Refuse a view before anything starts.
+
+    Raises ValueError for one that is not a view, OSError if a viewer here has no display.
+    """
+    if view == HERE:
+        if not has_display():
+            raise OSError("--view needs a display here: give --view web, or --view rerun+http://HOST:9876/proxy")
+        viewer()
+        return
+    if view == WEB:
+        return
+    parts = urllib.parse.urlsplit(view)
+    try:
+        known = parts.scheme in SCHEMES and bool(parts.hostname) and parts.port is not None
+    except ValueError:  # a port beyond 65535
+        known = False
+    if not known or parts.path.rstrip("/") != "/proxy":
+        raise ValueError(f"--view must be here, web or rerun+http://HOST:PORT/proxy, not {view!r}")

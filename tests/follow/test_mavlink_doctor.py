@@ -3,6 +3,7 @@
 import json
 import re
 import struct
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +17,8 @@ from follow.flight.finding import Finding, Health, is_fit, places
 from follow.flight.vehicle_checks import check_signing, check_simulator, check_vehicle
 from follow.link.transports import Reach
 from follow.messages import Autopilot, Frame
+from follow.recording.recorder import RecordConfig
+from follow.recording.video_encoder import Encoder
 from sim.autopilot.parameters import FIRMWARES
 from sim.autopilot.system import AutopilotSystem
 from sim.dynamics import Vehicle, VehicleTruth
@@ -302,6 +305,18 @@ def test_a_clock_that_was_never_set_is_red_only_for_signing():
 
 def test_disk_room_is_told(tmp_path):
     assert "GB free" in doctor.check_disk(tmp_path / "not" / "yet").text
+
+
+def test_the_disk_is_reckoned_from_the_frames_and_the_flight(tmp_path, monkeypatch):
+    needed = doctor.flight_bytes((640, 360), RecordConfig(), 600.0)
+    assert needed == pytest.approx(10 * 9.1e6, rel=0.05)  # 6.4 MB a minute of frames, 2.7 of the rest
+    assert doctor.flight_bytes((1280, 720), RecordConfig(encoder=Encoder.JPEG), 600.0) > 20 * needed
+    for free, verdict in ((0.9, Health.RED), (1.5, Health.WARN), (3.5, Health.OK)):
+        usage = SimpleNamespace(free=free * needed)
+        monkeypatch.setattr(doctor.shutil, "disk_usage", lambda _path, usage=usage: usage)
+        finding = doctor.check_disk(tmp_path, (640, 360), RecordConfig(), 600.0)
+        assert finding.verdict is verdict
+        assert "10 min at 640x360 take 0.09 GB" in finding.text
 
 
 class Slideshow:

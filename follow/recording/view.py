@@ -1,0 +1,58 @@
+"""The flight in Rerun while it flies (`--view`).
+
+The viewer has a recording stream, a queue and a thread of its own: one that is slow or gone costs frames of the view,
+never a setpoint nor a frame of `flight.rrd`.  Frames go as JPEG, at most `FRAMES_HZ` a second: any viewer shows them,
+without a decoder, and a radio link carries them.
+"""
+
+# Rerun's own check of the Python version hides its names from a type checker that is set to Python 3.10.
+# pyright: reportAttributeAccessIssue=false
+
+import ipaddress
+import socket
+import urllib.parse
+
+import rerun as rr
+
+from follow.messages import Notify
+from follow.recording.layout import layout
+from follow.recording.rerun_log import Pace, RerunRecording
+from follow.recording.rows import Desired
+from follow.recording.video_encoder import JpegEncoder
+from follow.recording.viewer import HERE, WEB
+
+FRAMES_HZ = 10.0
+JPEG_QUALITY = 60  # some 25 kB at 640x360: 2 Mbit/s
+PACE = Pace(frame_s=1 / FRAMES_HZ - 0.01, curves_s=0.2, flush_s=0.2)
+FLUSH_TIMEOUT_S = 20.0  # a viewer that does not take a batch within this time is gone; meanwhile frames are dropped
+MEMORY = "256MiB"  # of the server for late viewers, beside a tracker on a small computer
+
+
+def to_viewer(view: str, about: str, desired: Desired | None, report: Notify) -> RerunRecording:
+    """A recording that a viewer shows while it grows; see `check_view`."""
+
+    def connect(recording: rr.RecordingStream) -> None:
+        blueprint = layout(play_state="following")
+        try:
+            if view == HERE:
+                recording.spawn(default_blueprint=blueprint, memory_limit="1GiB")
+            elif view == WEB:
+                url = recording.serve_grpc(default_blueprint=blueprint, server_memory_limit=MEMORY)
+                rr.serve_web_viewer(open_browser=False, connect_to=url)
+                report(f"the flight can be seen at http://{own_address()}:9090/?url={urllib.parse.quote(url)}")
+            else:
+                recording.connect_grpc(view, default_blueprint=blueprint)
+        except (RuntimeError, ValueError) as error:
+            raise OSError(f"the view {view} cannot be opened: {error}; the flight goes on") from None
+
+    return RerunRecording(connect, f"the view {view}", JpegEncoder(JPEG_QUALITY), about, desired, PACE, FLUSH_TIMEOUT_S)
+
+
+def own_address() -> str:
+    """The address of this computer in its network; 127.0.0.1 if it is in none.  Sends nothing."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect((str(ipaddress.IPv4Address("192.0.2.1")), 9))  # a documentation address: no packet leaves
+        except OSError:
+            return "127.0.0.1"
+        return str(probe.getsockname()[0])
