@@ -30,6 +30,10 @@ USUAL_FPS = 30.0  # of a file that does not say
 LONGEST_GAP_S = 10.0  # a longer hole in the time stamps is a cut, not lost frames
 NOT_VIDEO = frozenset({"tty", "txd", "bin", "xbin", "adf", "idf"})  # FFmpeg draws a text file's letters
 DEINTERLACE = "mode=send_frame:deint=interlaced"  # one frame out for each in; progressive ones pass
+MAJOR = int(av.__version__.split(".")[0])
+ANY_TEXT: dict[str, Any] = {"metadata_errors": "replace"} if MAJOR < 19 else {}
+"""Lets `av.open` pass over a title that is not UTF-8, which it does by itself from version 19 on."""
+THREADS = "AUTO" if MAJOR >= 18 else "SLICE"  # an error costs older ones the frames of all decoding threads
 BLOCKING = (BlockingIOError, EOFError)  # a filter graph or decoder that needs more input, or has ended
 
 
@@ -95,7 +99,9 @@ class Video:
             self._stream: Any = self._container.streams.best("video")
             if self._stream is None or self._container.format.name in NOT_VIDEO:
                 raise VideoError(f"{path} cannot be opened as a video: FFmpeg finds no video stream in it")
-            self._stream.thread_type = "AUTO"
+            if self._stream.codec_context is None:
+                raise VideoError(f"{path} cannot be opened as a video: FFmpeg does not know its codec")
+            self._stream.thread_type = THREADS
             self.missing = MissingFrames()
             self.fps = nominal_fps(self._stream)
             self.length_s = _length_s(self._stream, self._container)
@@ -264,7 +270,7 @@ def _opened(path: str | Path) -> Any:
         raise VideoError(f"{path} is not a file")
     try:
         # `file:` so that a colon in the name is not taken for a protocol's.
-        return av.open(f"file:{path}", metadata_errors="replace")
+        return av.open(f"file:{path}", **ANY_TEXT)
     except (av.error.FFmpegError, OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or str(error)
         raise VideoError(f"{path} cannot be opened as a video: {why}") from None

@@ -23,7 +23,7 @@ from follow.camera.names import CameraKind, CameraName
 from follow.camera.stream_clock import FrameClock, SteadyArrivals, StreamClock
 from follow.camera.v4l2 import check_mode, modes_of
 from racf.orientation import Orientation
-from racf.video import deinterlacer, filtered, to_bgr
+from racf.video import ANY_TEXT, deinterlacer, filtered, to_bgr
 
 OPEN_S = 10.0  # connection timeout
 SILENT_S = 2.0  # read timeout for a sender that died; the gate has stopped by then (0.2 s and 1 s)
@@ -85,9 +85,9 @@ class StreamCapture:
     ) -> None:
         self._container, self._clock = container, clock
         stream = container.streams.best("video")
-        if stream is None:
+        if stream is None or stream.codec_context is None:
             container.close()
-            raise CameraError("there is no video in it")
+            raise CameraError("there is no video in it, or of a codec that FFmpeg does not know")
         self._stream: Any = stream
         context = stream.codec_context
         context.thread_type = "SLICE"  # whole frames in threads would hold back one each
@@ -217,9 +217,7 @@ def open_stream(name: CameraName, clock: Callable[[], float]) -> StreamCapture:
     if name.kind is CameraKind.DEVICE:
         check_mode(name.address, modes_of(name.address), name.options.get("format"), name.size, name.fps)
     try:
-        container = av.open(
-            address, format=format_, options=options, timeout=(OPEN_S, SILENT_S), metadata_errors="replace"
-        )
+        container = av.open(address, format=format_, options=options, timeout=(OPEN_S, SILENT_S), **ANY_TEXT)
     except av.error.ExitError:
         raise CameraError(f"camera {name.text!r} cannot be opened: nothing came for {OPEN_S:g} s") from None
     except (av.error.FFmpegError, OSError, ValueError) as error:

@@ -22,7 +22,7 @@ from follow.camera import CameraError
 from follow.camera.capture import OPEN_S, QUICK, SILENT_S, Image, StreamCapture
 from follow.camera.names import RAW_FORMATS, CameraName
 from follow.camera.stream_clock import SteadyArrivals
-from racf.video import to_bgr
+from racf.video import ANY_TEXT, to_bgr
 
 CHUNK = 1 << 20  # bytes in one read at most: a pipe holds 64 KiB unless it was made larger
 END_S = 1.0  # after SIGTERM, before SIGKILL
@@ -135,7 +135,7 @@ class ProgramCapture:
             options["framerate"] = self._name.options.get("fps", BARE_FPS)
             format_ = "rawvideo"
         try:
-            return av.open(self._program, format=format_, options=options, metadata_errors="replace")
+            return av.open(self._program, format=format_, options=options, **ANY_TEXT)
         except (av.error.FFmpegError, OSError, ValueError, CameraError) as error:
             self._program.wait_end()
             said = "" if isinstance(error, CameraError) else self._program.said()

@@ -1,6 +1,6 @@
 """Images from files: one, a folder of numbered ones, or a video."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import cv2
@@ -23,6 +23,14 @@ def read_frame(path: Path) -> Image:
 
 def frames_of(source: Path) -> Iterator[Image]:
     """The images of a folder or of a video file, in order; raises when there are none."""
+    return (image for image in rows_of(source) if image is not None)
+
+
+def rows_of(source: Path, notify: Callable[[str], None] = lambda _line: None) -> Iterator[Image | None]:
+    """The same with None for each frame of a video that does not decode, so that annotated rows stay in step.
+
+    `notify` gets one line about what a video lacks.
+    """
     if source.is_dir():
         paths = all_frames(source / "img" if (source / "img").is_dir() else source)
         if not paths:
@@ -33,5 +41,10 @@ def frames_of(source: Path) -> Iterator[Image]:
     if not source.is_file():
         raise FileNotFoundError(f"{source} is neither a folder of images nor a video file")
     with Video(source) as video:
+        row = 0
         for shown in video.images():
+            yield from (None for _ in range(row, shown.index))
             yield shown.image
+            row = shown.index + 1
+        if lacks := str(video.missing):
+            notify(f"{source.name}: {lacks}")

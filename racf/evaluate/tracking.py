@@ -3,7 +3,7 @@
 import csv
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from racf.box import Box, tiny_line
 from racf.errors import UsageError
 from racf.evaluate.boxfiles import read_boxes, write_boxes
-from racf.evaluate.images import frames_of
+from racf.evaluate.images import rows_of
 from racf.evaluate.metrics import Boxes, Convention, Score, score
 from racf.evaluate.runner import TrackerBuilder, naming
 from racf.track import Track
@@ -116,11 +116,16 @@ def track(
 
     `overlay` names a video to write, in which the tracker's box (green, red while it is not found), its confidence
     and the annotation `truth` (white, 1-based) are drawn.  `notify` is told if the target reaches out of the image,
-    and once if it is tiny.  Raises ValueError or OSError for what cannot be read, TrackerError if the tracker fails.
+    once if it is tiny, and what a video lacks: a frame that does not decode has the last box, not found.
+    Raises ValueError or OSError for what cannot be read, TrackerError if the tracker fails.
     """
     tracker, tracks, times, tiny = spec.build(), list[Track](), list[float](), ""
     with _writer(overlay, source) as write:
-        for image in frames_of(source):
+        for image in rows_of(source, notify):
+            if image is None:  # a frame that does not decode keeps its row
+                tracks.append(replace(tracks[-1], found=False))
+                times.append(0.0)
+                continue
             if not tracks and (line := _start(target, image)):
                 notify(line)
             with naming(spec.label, f"{source}, frame {len(tracks)}"):

@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 
+import av
 import cv2
 import numpy as np
 import pytest
@@ -17,8 +18,9 @@ from racf.evaluate.boxfiles import write_boxes
 from racf.evaluate.images import read_frame
 from racf.evaluate.imports import import_boxes
 from racf.evaluate.metrics import interval_of_mean
-from sim.clip import write
+from sim.clip import clip, write
 from tests.racf.test_cli import racf as command
+from tests.support.clips import encode
 
 NAMES = ("one", "two", "three")
 
@@ -332,3 +334,21 @@ def test_an_evaluation_shows_its_summary_and_the_function_no_address(data):
     assert repr(shown) == "\n".join(table.markdown() for table in shown.summary)
     assert len(str(shown).splitlines()) < 20
     assert "0x" not in str(inspect.signature(evaluate))
+
+
+def test_a_frame_that_does_not_decode_keeps_its_row_in_track(tmp_path, capsys):
+    images = [image for image, _ in clip(8)]
+    path = encode(tmp_path / "a.mp4", images, codec="png", pix_fmt="rgb24")
+    with av.open(str(path)) as container:
+        at, size = [(packet.pos, packet.size) for packet in container.demux(video=0) if packet.size][5]
+    data = bytearray(path.read_bytes())
+    data[at : at + size] = bytes(size)
+    path.write_bytes(data)
+    _, box = next(clip(1))
+    assert command("track", path, "--init", str(box), "--out", tmp_path / "boxes.txt") == 0
+    assert "a.mp4: 1 frame is missing (1 not decodable, first 5)" in capsys.readouterr().err
+    boxes = np.loadtxt(tmp_path / "boxes.txt", delimiter=",")
+    assert len(boxes) == 8
+    assert (boxes[5] == boxes[4]).all()
+    rows = np.genfromtxt(tmp_path / "boxes.csv", delimiter=",", names=True)
+    assert list(rows["found"]) == [1, 1, 1, 1, 1, 0, 1, 1]

@@ -193,7 +193,9 @@ def test_a_matroska_file_cut_at_its_end_says_how_much_of_its_length_is_missing(t
     assert missing == f"it ends {left_s:.1f} s before the length that it says"
 
 
-@pytest.mark.parametrize("make", ["empty", "text", "sound", "index at the end, cut off", "zeros", "header alone"])
+@pytest.mark.parametrize(
+    "make", ["empty", "text", "sound", "index at the end, cut off", "zeros", "header alone", "codec"]
+)
 def test_a_file_of_which_no_frame_decodes_is_refused_in_one_sentence(tmp_path, make):
     path = tmp_path / "a.mp4"
     whole = clip(tmp_path / "whole.mp4").read_bytes()
@@ -211,6 +213,7 @@ def test_a_file_of_which_no_frame_decodes_is_refused_in_one_sentence(tmp_path, m
             "index at the end, cut off": whole[: len(whole) // 2],
             "zeros": bytes(4096),
             "header alone": whole[:64],
+            "codec": clip(tmp_path / "a.avi", codec="mjpeg", pix_fmt="yuvj420p").read_bytes().replace(b"MJPG", b"QJPX"),
         }
         path.write_bytes(contents[make])
     for name in (path, path.rename(path.with_suffix(".txt"))) if make == "text" else (path,):
