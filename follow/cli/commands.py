@@ -235,7 +235,8 @@ class ReflyCommand:
 
     - With the recorded settings the outcome must be equal to the last bit.
     - Exit status 1 if it is not.
-    - With others it shows what they would have sent. The vehicle goes where it went.
+    - With others it shows what they would have sent.
+    - The vehicle goes where it went.
     """
 
     flight: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
