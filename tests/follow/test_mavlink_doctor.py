@@ -2,7 +2,6 @@
 
 import json
 import re
-import struct
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,7 +12,7 @@ from pymavlink.dialects.v20 import common as dialect
 from follow.camera import CameraError
 from follow.cli.program import main
 from follow.flight import preflight as doctor
-from follow.flight.finding import Finding, Health, is_fit, places
+from follow.flight.finding import Health, is_fit, places
 from follow.flight.vehicle_checks import check_signing, check_simulator, check_vehicle
 from follow.link.transports import Reach
 from follow.messages import Autopilot, Frame
@@ -23,7 +22,9 @@ from sim.autopilot.parameters import FIRMWARES
 from sim.autopilot.system import AutopilotSystem
 from sim.dynamics import Vehicle, VehicleTruth
 from tests.support.autopilot_pair import Pair
+from tests.support.doctor import examined, obey, red
 from tests.support.fit import fit
+from tools.docs import doctor as doctor_docs
 
 BOTH = pytest.mark.parametrize("autopilot", list(Autopilot))
 EVERY_FIRMWARE = pytest.mark.parametrize(
@@ -62,39 +63,12 @@ def foreign_packet() -> bytes:
     return mav.hwstatus_encode(5000, 0).pack(mav)
 
 
-def examined(pair: Pair) -> list[Finding]:
-    return check_vehicle(pair.client, pair.run, lambda: pair.t_s)
-
-
 def test_each_wait_is_announced():
     pair, said = Pair(Autopilot.PX4), list[str]()
     check_vehicle(pair.client, pair.run, lambda: pair.t_s, said.append)
     assert said[0] == "listening for a vehicle, 4 s"
     assert said[1] == "px4 found: measuring its message rates, 4 s"
     assert re.fullmatch(r"reading parameters: (\d+) of \1 to come", said[2])
-
-
-def red(findings: list[Finding]) -> dict[str, str]:
-    return {finding.name: finding.fix for finding in findings if finding.verdict is Health.RED}
-
-
-def obey(pair: Pair, command: str) -> None:
-    """What a person types into MAVProxy, as it goes over the wire."""
-    verb, noun, name, value = command.split()
-    assert (verb, noun) == ("param", "set")
-    old = pair.system.flight.parameters[name]
-    number = type(old)(float(value))
-    station = dialect.MAVLink(None, 255, 190)
-    if pair.system.flight.autopilot is Autopilot.PX4 and isinstance(old, int):
-        packed = dialect.MAVLink_param_set_message(1, 1, name.encode(), 0.0, 6)
-        packed.param_value = int_as_float(number)
-    else:
-        packed = dialect.MAVLink_param_set_message(1, 1, name.encode(), number, 9)
-    pair.system.receive(packed.pack(station))
-
-
-def int_as_float(number: int) -> float:
-    return struct.unpack("<f", struct.pack("<i", number))[0]
 
 
 @EVERY_FIRMWARE
@@ -114,6 +88,10 @@ def test_default_parameters_are_red_and_the_named_commands_fix_them(autopilot, f
     assert is_fit(findings), [str(finding) for finding in findings]
     told = [finding for finding in findings if finding.verdict is not Health.OK]
     assert told == [], "every name of this firmware's is known"
+
+
+def test_the_page_shows_what_the_doctor_prints():
+    assert doctor_docs.PAGE.read_text() == doctor_docs.page(), "run: python -m tools.docs.doctor"
 
 
 UNFIT = [
