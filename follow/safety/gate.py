@@ -95,6 +95,8 @@ def present_velocity(target: Worst, state: VehicleState, limits: Limits) -> tupl
     """The vehicle's own NED velocity as far as stand-off, altitude band and speed limit permit it to be kept."""
     over = max(math.hypot(state.north_m_s, state.east_m_s) / limits.speed_m_s, 1.0)
     north, east = limit_closing_speed(state.north_m_s / over, state.east_m_s / over, target, limits)
+    fast = max(math.hypot(north, east) / limits.speed_m_s, 1.0)  # a retreat beside a fast motion across
+    north, east = north / fast, east / fast
     down = limit_descent(clamped(state.down_m_s, limits.climb_m_s), target, state, limits)
     return north, east, limit_altitude(down, target, state, limits)
 

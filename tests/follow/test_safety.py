@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from follow.messages import HOVER, NEVER, Estimate, Landed, Mode, Order, Setpoint
-from follow.safety.distance import approach_speed
+from follow.messages import HOVER, NEVER, Estimate, Landed, Mode, Order, Setpoint, VehicleState
+from follow.safety.distance import Worst, approach_speed
 from follow.safety.envelope import HELD, in_view, limit_to_fence
-from follow.safety.gate import Gate, Limits, Safety, decide
+from follow.safety.gate import Gate, Limits, Safety, decide, present_velocity
 from follow.safety.ramps import VelocityRamp, YawRateRamp
 from tests.support.gate_rig import DT, LIMITS, engaged, fly, flying, seen
 
@@ -113,6 +113,14 @@ def test_the_floor_is_above_the_ground_wherever_the_estimators_zero_lies(error_m
     assert lowest >= LIMITS.floor_m - 0.05
     if error_m < 0.0:  # else the target's head, by z alone as its ground is not known here, forbids the descent
         assert lowest <= LIMITS.floor_m + 0.5
+
+
+@given(st.floats(-20, 20), st.floats(-20, 20), st.floats(-3, 3), st.floats(0, 8), st.floats(0, 10), st.floats(-9, 9))
+def test_the_velocity_at_the_start_keeps_the_speed_limit(north, east, sight, range_m, above, approach):
+    """A retreat at the full limit beside a fast motion across was up to 11.3 m/s."""
+    state = VehicleState(0.0, north_m_s=north, east_m_s=east, down_m=-8.0)
+    velocity = present_velocity(Worst(sight, range_m, above, approach), state, LIMITS)
+    assert math.hypot(*velocity[:2]) <= LIMITS.speed_m_s + 1e-9
 
 
 @pytest.mark.parametrize("error_m", [3.0, 8.0])
