@@ -69,21 +69,24 @@ def own_disk(folder: Path) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def frozen(mount: Path, after_s: float, seconds: float) -> Iterator[None]:
-    """Freeze a file system for a while, beginning `after_s` from now."""
+def frozen(mount: Path, after_s: float, seconds: float) -> Iterator[list[float]]:
+    """Freeze a file system for a while, beginning `after_s` from now; yields a list for its two ends."""
+    ends: list[float] = []
 
     def freeze() -> None:
         time.sleep(after_s)
         subprocess.run(["fsfreeze", "--freeze", str(mount)], check=True)
+        ends.append(time.monotonic())
         try:
             time.sleep(seconds)
         finally:
             subprocess.run(["fsfreeze", "--unfreeze", str(mount)], check=True)
+            ends.append(time.monotonic())
 
     thread = threading.Thread(target=freeze)
     thread.start()
     try:
-        yield
+        yield ends
     finally:
         thread.join()
 
@@ -113,8 +116,10 @@ def main() -> int:
         with real_flight(options.autopilot, Path(out), options=["--seconds", "600"]) as real:
             real.order()
             began, ticks = time.monotonic(), processor_ticks()
-            stall = frozen(Path(out), options.seconds / 3, options.disk_stall) if options.disk_stall else nullcontext()
-            with stall:
+            stall = (
+                frozen(Path(out), options.seconds / 3, options.disk_stall) if options.disk_stall else nullcontext([])
+            )
+            with stall as stood_still:
                 readings = watched(options.seconds)
             end, taken = time.monotonic(), stolen(ticks, processor_ticks())
             times = [p.t_s for p in real.relay.setpoints() if began <= p.t_s <= end]
@@ -131,7 +136,10 @@ def main() -> int:
         lost = ", ".join(
             f"{name} {summary.get(name, 0)}" for name in ("recording_dropped", "rows_lost", "packets_lost")
         )
+        during = np.array([stood_still[0] <= b and a <= stood_still[1] for a, b in itertools.pairwise(times)])
         print(f"the disk stood still for {options.disk_stall:g} s: {lost}")
+        inside, outside = intervals[during].max(initial=0.0), intervals[~during].max(initial=0.0)
+        print(f"largest interval meanwhile {inside:.1f} ms, at other times {outside:.1f} ms")
     print(f"{os.cpu_count()} cores, {taken:.0%} of their time taken by the host")
     print(f"interval ms: p50 {p50:.1f}, p99 {p99:.1f}, largest {intervals.max():.1f}")
     quiet = intervals[undisturbed(times, readings)]

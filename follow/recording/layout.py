@@ -63,30 +63,34 @@ def layout(play_state: Literal["paused", "playing", "following"] = "paused") -> 
         ),
         rrb.StateTimelineView(
             origin="/",
-            contents=["/mode", "/why", "/held_by", "/tracker"],
-            name="Mode of the gate and why; what held it back; target in view",
+            contents=["/mode/**", "/tracker"],
+            name="Mode of the gate; what held it back; why it is in this mode; target in view",
         ),
         rrb.Tabs(
             rrb.TextLogView(origin="/messages", name="Messages", columns=_message_columns()),
             rrb.TextDocumentView(origin="/about", name="About this flight"),
             rrb.TextDocumentView(origin="/settings", name="Settings"),
         ),
-        row_shares=[6, 2.2, 2],
+        row_shares=[6, 2.9, 2],
     )
     right = rrb.Vertical(
-        _curves("Range along the ground against the wanted stand-off, m", ["/range"]),
-        _curves("Height above the target against the wanted one, m", ["/height"]),
-        _curves("Velocity: desired (pale) and sent, m/s", ["/desired/velocity", "/setpoint/velocity"]),
-        _curves("Yaw rate: desired (pale) and sent, degrees/s", ["/desired/yaw_rate", "/setpoint/yaw_rate"]),
+        _curves("Range, m: to the target (orange), nearest possible (grey), wanted stand-off (green)", ["/range"]),
+        _curves("Height above the target, m: flown (blue), wanted (green)", ["/height"]),
+        _curves(
+            "Velocity, m/s: forward (blue), right (orange), down (green); pale: desired",
+            ["/desired/velocity", "/setpoint/velocity"],
+        ),
+        _curves("Yaw rate, degrees/s: sent (blue), desired (pale)", ["/desired/yaw_rate", "/setpoint/yaw_rate"]),
         rrb.Tabs(
             rrb.TimeSeriesView(
                 origin="/track/confidence",
                 name="Confidence",
-                axis_y=rrb.ScalarAxis(range=(0.0, 1.0), zoom_lock=True),
+                axis_y=rrb.ScalarAxis(range=(0.0, 1.05), zoom_lock=True),
+                plot_legend=rrb.PlotLegend(visible=False),
             ),
             rrb.Spatial2DView(origin="/response", name="Response of the filter"),
-            _curves("Sharpness: PSR, APCE", ["/track/sharpness"]),
-            _curves("Time of each stage, ms", ["/timings"]),
+            _curves("Sharpness: PSR (green), APCE (yellow)", ["/track/sharpness"]),
+            _curves("Time of each stage, ms", ["/timings"], legend=True),
         ),
         row_shares=[1.3, 1.3, 1.2, 1, 1],
     )
@@ -98,10 +102,13 @@ def layout(play_state: Literal["paused", "playing", "following"] = "paused") -> 
     )
 
 
-def _curves(name: str, contents: list[str]) -> rrb.TimeSeriesView:
-    """Curves over time, the legend where the newest values are not."""
+def _curves(name: str, contents: list[str], *, legend: bool = False) -> rrb.TimeSeriesView:
+    """Curves over time; their title says what their colours mean, for a legend would lie on them."""
     return rrb.TimeSeriesView(
-        origin="/", contents=contents, name=name, plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.LeftTop)
+        origin="/",
+        contents=contents,
+        name=name,
+        plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.LeftTop, visible=legend),
     )
 
 

@@ -18,7 +18,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from follow.messages import NEVER, Mode, Setpoint, Tick
-from follow.recording.layout import BLUE, GREEN, GREY, MODE_COLOURS, RED, YELLOW, describe, layout
+from follow.recording.layout import BLUE, GREEN, GREY, MODE_COLOURS, ORANGE, PALE, RED, YELLOW, describe, layout
 from follow.recording.rows import Desired, LoggedTick, held_by
 from follow.recording.video_encoder import Encoder, FrameEncoder, H264Encoder, Sample, encoder
 from racf.box import Box
@@ -34,6 +34,7 @@ DRAW_ORDER = {"image/search": 30.0, "image/truth": 31.0, "image/target": 32.0}
 """A later box covers an earlier one."""
 
 Colour = tuple[int, int, int]
+NOTHING, DARK = "nothing", (60, 60, 60)
 
 NUMBER = re.compile(r"-?\d+(\.\d+)?")
 
@@ -73,6 +74,7 @@ class RerunRecording:
         self._recording.set_log_tick_enabled(False)
         connect(self._recording)
         self._states: dict[str, str] = {}
+        self._colours: dict[str, dict[str, Colour]] = {}
         self._notes: frozenset[str] = frozenset()
         self._shown: set[str] = set()
         self._curves: dict[str, tuple[list[float], list[float]]] = {}
@@ -157,11 +159,17 @@ class RerunRecording:
         decision = scene.tick.decision
         held = ", ".join(dict.fromkeys(held_by(decision.notes)))
         self._state("mode", decision.mode.value)
-        self._state("why", NUMBER.sub("…", str(decision.reason)))
-        self._state("held_by", held or "nothing")
+        self._state("mode/why", NUMBER.sub("…", str(decision.reason)), PALE)
+        self._state("mode/held_by", held or NOTHING, ORANGE)
 
-    def _state(self, path: str, state: str) -> None:
+    def _state(self, path: str, state: str, colour: Colour | None = None) -> None:
+        """Log a lane's state when it changes; `colour` is that of the states that no configuration knows before."""
         if self._states.get(path) != state:
+            known = self._colours.setdefault(path, {NOTHING: DARK})
+            if colour is not None and state not in known:
+                known[state] = colour
+                lane = rr.StateConfiguration(values=list(known), colors=list(known.values()))
+                self._recording.log(path, lane, static=True)
             self._states[path] = state
             self._recording.log(path, rr.StateChange(state=state))
 

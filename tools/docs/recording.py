@@ -2,7 +2,7 @@
 
     python -m tools.docs.recording [MOMENT ...]     start, steady, lost, found, over; all five if none is named
 
-Flies behind a walker who passes behind a wall, until a person takes the vehicle back, and draws a recording that ends
+Flies behind a runner who passes through a door, until a person takes the vehicle back, and draws a recording that ends
 at each moment.  Needs Xvfb and a software Vulkan (Debian: xvfb, mesa-vulkan-drivers).  Frames are recorded as JPEG,
 because the viewer needs `ffmpeg` for H.264.
 """
@@ -54,7 +54,7 @@ def orders() -> Iterator[Instruction]:
 
 def flown() -> tuple[list[tuple[Tick, Box | None]], Config, float]:
     """Every round of the flight with the true box, the settings, and the camera's angle."""
-    scenario = replace(SCENARIOS["wall"], duration_s=SECONDS)
+    scenario = replace(SCENARIOS["doorway"], duration_s=SECONDS)
     drawn = scene_camera(scenario, Autopilot.PX4, CameraConfig())
     camera, link, _ = build(scenario, 0, Autopilot.PX4, drawn)
     lens, down_rad = drawn.intrinsics, drawn.down_rad
@@ -82,7 +82,7 @@ def ends(ticks: list[Tick]) -> dict[str, float]:
 
 def record(rounds: list[tuple[Tick, Box | None]], config: Config, down_rad: float, end_s: float, out: Path) -> None:
     """The recording of the flight up to a moment."""
-    about, kept = "# A walker goes behind a wall\n\na simulated flight", kept_geometry(config.servo, down_rad)
+    about, kept = "# A runner vanishes through a door\n\na simulated flight", kept_geometry(config.servo, down_rad)
     settings = RecordConfig(encoder=Encoder.JPEG)
     with Recorder(out, settings, print, waits=True, about=about, desired=kept) as recorder:
         changes = ModeChanges(recorder.message)
