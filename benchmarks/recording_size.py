@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 from examples.read_a_recording import images
 from follow.cli.sim import scene_camera
 from follow.config import CameraConfig
-from follow.geometry import Intrinsics
 from follow.messages import Autopilot, Decision, Estimate, Frame, Mode, Setpoint, Tick, VehicleState
 from follow.recording.recorder import RecordConfig, Recorder
 from follow.recording.video_encoder import Encoder
@@ -40,18 +39,18 @@ Clip = Iterator[tuple[NDArray[np.uint8], Box]]
 
 
 def scene(name: str, size: tuple[int, int], seconds: float) -> Clip:
-    """A drawn scene seen from a vehicle that flies a gentle curve, with the target's true boxes."""
+    """A drawn scene, enlarged to the size, seen from a vehicle that flies a gentle curve, with the target's boxes."""
     scenario = replace(SCENARIOS[name], duration_s=seconds)
     drawn = scene_camera(scenario, Autopilot.PX4, CameraConfig())
-    lens = drawn.intrinsics
-    scaled = replace(drawn, intrinsics=Intrinsics.from_fov(*size, lens.horizontal_fov_rad))
-    camera, link, _ = build(scenario, 0, Autopilot.PX4, scaled)
+    scale = size[0] / drawn.intrinsics.width
+    camera, link, _ = build(scenario, 0, Autopilot.PX4, drawn)
     with camera:
         for frame in camera.frames():
             link.send(Setpoint(1.4, 0.0, 0.0, 0.05))
             box = camera.truth(frame.index).box if frame is not None else None
             if frame is not None and box is not None:
-                yield frame.image, box
+                large = np.asarray(cv2.resize(frame.image, size, interpolation=cv2.INTER_CUBIC), np.uint8)
+                yield large, Box(box.x * scale, box.y * scale, box.w * scale, box.h * scale)
 
 
 def sequence(folder: Path, size: tuple[int, int], seconds: float) -> Clip:

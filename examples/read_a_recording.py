@@ -7,6 +7,7 @@ docs/after_a_flight.md describes every column.
 
 import csv
 import sys
+from collections import deque
 from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
@@ -37,12 +38,17 @@ def images(folder: Path) -> Iterator[tuple[float, NDArray[np.uint8]]]:
     The frames are an H.264 stream, a packet for each, or with `--record.encoder jpeg` a JPEG for each.
     """
     decoder = av.CodecContext.create("h264", "r")
+    waiting: deque[float] = deque()  # times of the packets whose frames are still in the decoder
     for time_s, stream, data in packets(folder):
         if stream:
+            waiting.append(time_s)
             for frame in decoder.decode(av.Packet(data)):
-                yield time_s, frame.to_ndarray(format="bgr24")
+                yield waiting.popleft(), frame.to_ndarray(format="bgr24")
         else:
             yield time_s, np.asarray(cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR), np.uint8)
+    if waiting:
+        for frame in decoder.decode(None):
+            yield waiting.popleft(), frame.to_ndarray(format="bgr24")
 
 
 def packets(folder: Path) -> Iterator[tuple[float, bool, bytes]]:

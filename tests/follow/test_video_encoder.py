@@ -2,11 +2,15 @@
 
 import itertools
 import math
+from dataclasses import replace
 
 import av
 import numpy as np
 import pytest
 
+from examples.read_a_recording import images
+from follow.messages import Frame
+from follow.recording.recorder import RecordConfig, Recorder
 from follow.recording.video_encoder import (
     KEY_S,
     Encoder,
@@ -18,6 +22,7 @@ from follow.recording.video_encoder import (
     even,
 )
 from racf.box import Box
+from tests.follow.test_record_flight import tick
 
 rng = np.random.default_rng(4)
 
@@ -58,6 +63,19 @@ def test_each_frame_comes_back_in_order_with_its_own_time():
     for n in (0, 7, 19):
         errors = [psnr(image[..., 0], back[n]) for image in images]
         assert int(np.argmax(errors)) == n
+
+
+def test_each_frame_of_a_recording_is_read_back_with_its_own_time(tmp_path):
+    moved = moving(40)
+    with Recorder(tmp_path, RecordConfig(), print, waits=True) as recorder:
+        for n, image in enumerate(moved):
+            round_ = tick(n)
+            recorder.tick(replace(round_, frame=Frame(image, n / 30, n)))
+    back = list(images(tmp_path))
+    assert [round(t_s * 30) for t_s, _ in back] == list(range(40))
+    for n in (0, 17, 39):
+        likeness = [psnr(image[..., 0], back[n][1][..., 0]) for image in moved]
+        assert int(np.argmax(likeness)) == n
 
 
 def test_the_target_is_clearer_than_the_rest():
