@@ -64,7 +64,7 @@ def packets(folder: Path) -> Iterator[tuple[float, bool, bytes]]:
             stream = "VideoStream:sample" in batch.schema.names
             blobs = batch.column("VideoStream:sample" if stream else "EncodedImage:blob")
             for time, blob in zip(batch.column("seconds"), blobs, strict=True):
-                data = blob.values.values.to_numpy(zero_copy_only=False).astype(np.uint8)
+                data = blob.values.flatten().to_numpy(zero_copy_only=False).astype(np.uint8)
                 found.append((time.value / 1e9, stream, data.tobytes()))
     yield from sorted(found, key=lambda packet: packet[0])
 
