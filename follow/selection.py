@@ -29,13 +29,13 @@ class Selection:
 
 
 @dataclass(frozen=True, slots=True)
-class Stopped:
+class Cleared:
     """A person ended the tracking; `by` names the console."""
 
     by: str
 
 
-Choice = Selection | Stopped
+Choice = Selection | Cleared
 """What a person does in the image."""
 
 Choose = Callable[[Choice], str]

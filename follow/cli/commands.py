@@ -150,6 +150,12 @@ class RunCommand:
     """MAVLink system id of the vehicle, 1 to 255. Default: the first vehicle heard."""
     signing_key: Path | None = None
     """File of the MAVLink 2 signing key, 32 bytes, readable by its owner only. Default: packets are not signed."""
+    ground: str | None = None
+    """Ground station: a camera that it can point in. `link`: behind the autopilot; udpin:HOST:PORT also directly."""
+    ground_delay_s: float = 0.3
+    """Age of the image that a person at the ground station sees, s."""
+    ground_follows: bool = False
+    """A box drawn at the ground station orders FOLLOW at once. Default: it is tracked, and FOLLOW is ordered apart."""
     seconds: float = 0.0
     """End after this time, s. 0: fly until stopped."""
     seed: int = 0
@@ -177,6 +183,8 @@ class RunCommand:
             raise ValueError(f"--rc-channel lies in 1..18, not {self.rc_channel}")
         if not 0 <= self.seconds < math.inf:
             raise ValueError(f"--seconds is 0 or more, not {self.seconds:g}")
+        if not 0 <= self.ground_delay_s <= 1.5:
+            raise ValueError(f"--ground-delay-s lies in 0..1.5, not {self.ground_delay_s:g}: older images are not kept")
         if self.seed < 0:
             raise ValueError(f"--seed is 0 or more, not {self.seed}")
 

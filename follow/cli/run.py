@@ -7,6 +7,7 @@ import math
 import signal
 import time
 from collections.abc import Callable, Generator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -17,31 +18,36 @@ from follow.camera.calibration import described
 from follow.camera.live import LiveVideo
 from follow.camera.names import is_camera, is_live, parse_camera
 from follow.camera.realtime import RealTime
-from follow.camera.sizes import shrink_for
+from follow.camera.recent import RecentFrames
+from follow.camera.sizes import shrink_for, whole
 from follow.camera.video import open_replay
 from follow.cli.commands import RunCommand, box_in, box_of, lens_of
 from follow.cli.layers import SCENE, from_scene
 from follow.cli.settings import as_toml, scene_values
 from follow.cli.sim import Referee, believed_camera, scene_camera
 from follow.config import CameraConfig, Config, resolve
-from follow.control.acquire import Acquire
 from follow.control.image_motion import ImageMotionMeter
+from follow.control.selector import Selector
 from follow.control.servo import Servo
 from follow.control.target import Target
 from follow.flight.finding import Finding
 from follow.flight.live_flight import LogForwarder, Parts, fly, preflight, unwaived
 from follow.flight.parameters import names
 from follow.flight.preflight import check_disk
-from follow.flight.session import acquire, conclude, keep_flight, kept_geometry
+from follow.flight.session import Start, Update, conclude, keep_flight, kept_geometry, tracker_of
 from follow.geometry import Intrinsics
 from follow.link import Link
 from follow.link.connection import MavlinkLink, connect
 from follow.link.signing import Signing
 from follow.link.tlog import Tlog
-from follow.link.transports import parse_address
+from follow.link.transports import open_transport, parse_address
 from follow.messages import Autopilot, Notify, Tick
 from follow.operator.authority import Keys, Operator
+from follow.operator.consoles import Consoles
+from follow.operator.ground import DirectSide, GroundSide
+from follow.operator.ground_camera import GroundCamera
 from follow.operator.terminal import Terminal
+from follow.operator.told import PilotTexts
 from follow.recording.exact import Setup
 from follow.recording.folder import claimed
 from follow.recording.recorder import Recorder
@@ -63,7 +69,7 @@ class OpenCamera:
     camera: Camera
     lens: Intrinsics
     down_rad: float
-    target: Box
+    target: Box | None
     config: Config
     truth: Callable[[Tick], Box | None] = lambda _tick: None
     score: Callable[[], Figures] = Figures
@@ -74,14 +80,17 @@ def open_camera(command: RunCommand, link: Link, report: Notify) -> OpenCamera:
     """The camera that the command names; a scene is drawn as seen from where the link says that the vehicle is."""
     if command.camera.startswith(SCENE):
         return open_scene(command, link)
-    mount, target = command.config.camera, box_of(command.target or "")
+    mount = command.config.camera
+    target = box_of(command.target) if command.target is not None else None
+    shrink = shrink_for(target) if target is not None else whole
     if is_live(command.camera):
-        camera, delay_s = LiveVideo(command.camera, report, mount.delay_s, shrink=shrink_for(target)), mount.delay_s
+        camera, delay_s = LiveVideo(command.camera, report, mount.delay_s, shrink=shrink), mount.delay_s
     else:
-        camera, delay_s = RealTime(open_replay(command.camera, None, report, shrink_for(target))), 0.0
+        camera, delay_s = RealTime(open_replay(command.camera, None, report, shrink)), 0.0
     lens = lens_of(mount, *camera.size)
     config = resolve(command.config, lens, mount.down_rad, delay_s)
-    return OpenCamera(camera, lens, mount.down_rad, target.zoomed(1 / camera.scale), config, scale=camera.scale)
+    zoomed = target.zoomed(1 / camera.scale) if target is not None else None
+    return OpenCamera(camera, lens, mount.down_rad, zoomed, config, scale=camera.scale)
 
 
 def open_scene(command: RunCommand, link: Link, drawn: CameraConfig | None = None) -> OpenCamera:
@@ -96,6 +105,8 @@ def open_scene(command: RunCommand, link: Link, drawn: CameraConfig | None = Non
     mount = scene_camera(scenario, autopilot, drawn or command.config.camera)
     camera, _ = build_live(scenario, command.seed, autopilot, link, mount)
     target = box_of(command.target) if command.target is not None else camera.first()[1]
+    if command.target is None and command.ground is not None:
+        target = None  # a person will point at it
     config = resolve(command.config, believed.intrinsics, believed.down_rad, believed.latency_s)
     referee = Referee(camera)
 
@@ -109,8 +120,10 @@ def check(command: RunCommand) -> None:
     """Raise UsageError, LinkError or CameraError for what no vehicle is needed to refuse."""
     if command.target is not None:
         box_of(command.target)
-    elif not command.camera.startswith(SCENE):
-        raise UsageError("what is to be followed? give --target x,y,w,h")
+    elif not command.camera.startswith(SCENE) and command.ground is None:
+        raise UsageError("what is to be followed? give --target x,y,w,h, or --ground to point at it later")
+    if command.ground not in (None, "link"):
+        parse_address(command.ground)
     if not command.link.startswith("mavsdk+"):
         parse_address(command.link)
     if is_live(command.camera):
@@ -217,7 +230,7 @@ class PreparedFlight:
     """A camera that is open, a tracker that is warm, and why FOLLOW would be refused (`red`)."""
 
     seen: OpenCamera
-    tracker: Acquire
+    tracker: tuple[Start, Update]
     red: tuple[str, ...]
 
 
@@ -228,10 +241,11 @@ def prepare(command: RunCommand, link: MavlinkLink, report: Notify) -> PreparedF
     report("vehicle found: measuring its message rates and reading its parameters, some 10 s")
     red = unwaived(inspect(command, link), command.waive, report)
     seen = open_camera(command, link, report)
-    scale = seen.scale  # messages are in pixels of the source
-    if line := box_in(seen.target.zoomed(scale), seen.lens.width * scale, seen.lens.height * scale):
+    scale, box = seen.scale, seen.target  # messages are in pixels of the source
+    size = seen.lens.width * scale, seen.lens.height * scale
+    if box is not None and (line := box_in(box.zoomed(scale), *size)):
         report(line)
-    tracker = acquire(command.tracker, seen.target)
+    tracker = tracker_of(command.tracker)
     if path := command.config.camera.calibration:
         report(f"lens by {path}: {described(seen.lens)}")
     if line := height_line(seen.config):
@@ -273,16 +287,47 @@ def fly_prepared(
     command: RunCommand, flight: PreparedFlight, link: MavlinkLink, recorder: Recorder, report: Notify
 ) -> None:
     """Build the parts and fly until the end."""
-    seen, tracker = flight.seen, flight.tracker
+    seen = flight.seen
     operator = Operator(report, command.follow, command.rc_channel, link.client.heard, flight.red)
     target = Target(seen.lens, seen.down_rad, seen.config.target)
-    if command.aim:
-        operator.aim = lambda: (tracker.restart(), target.forget())
+    recent = RecentFrames(seen.camera)
     servo, safety = Servo(seen.down_rad, seen.config.servo), Safety(seen.config.limits)
     meter = ImageMotionMeter(seen.lens, seen.down_rad)
-    with seen.camera as camera:
-        parts = Parts(camera, link, tracker, target, servo, safety, meter)
-        fly(parts, operator, lambda tick: recorder.tick(tick, seen.truth(tick)), command.seconds)
+    with recent as camera, ThreadPoolExecutor(1, "click") as looks, contextlib.ExitStack() as open_sides:
+        tracker = Selector(*flight.tracker, recent, operator.retarget, seen.target, looks, report)
+        operator.forget = target.forget
+        if command.aim:
+            operator.aim = tracker.restart
+        sees: list[Callable[[Tick], object]] = [lambda tick: recorder.tick(tick, seen.truth(tick))]
+        if command.ground is not None:
+            consoles = Consoles(operator, tracker.choose, report, seen.config.servo.standoff_m, command.ground_follows)
+            operator.wanted = lambda: consoles.wanted
+            ground = open_sides.enter_context(ground_side(command, link, seen.lens, consoles))
+            sees += [consoles.see, ground.see]
+
+        def see(tick: Tick) -> None:
+            for take in sees:
+                take(tick)
+
+        fly(Parts(camera, link, tracker, target, servo, safety, meter), operator, see, command.seconds)
+
+
+@contextlib.contextmanager
+def ground_side(
+    command: RunCommand, link: MavlinkLink, lens: Intrinsics, consoles: Consoles
+) -> Generator[GroundSide, None, None]:
+    """The ground stations of this flight: behind the autopilot, and directly at the address that was given."""
+    signing = link.client.packets.signing
+    direct = DirectSide(open_transport(command.ground), signing) if command.ground not in (None, "link") else None
+    size = lens.width, lens.height
+    camera = GroundCamera(size, consoles.choose, None, command.ground_delay_s, signing)
+    camera.address(link.client.vehicle_id or 1)
+    ground = GroundSide(link, camera, consoles, PilotTexts(link.client), direct)
+    link.listeners.append(ground.hear)
+    try:
+        yield ground
+    finally:
+        ground.close()
 
 
 def height_line(config: Config) -> str:

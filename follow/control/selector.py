@@ -6,7 +6,8 @@ a second late is on the target, not where the target was.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from concurrent.futures import Executor, Future
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import cv2
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from follow.control.click import box_at
 from follow.messages import NEVER, Frame
-from follow.selection import Choice, Selection, Stopped
+from follow.selection import Choice, Cleared, Selection
 from racf.box import Box
 from racf.track import Track
 
@@ -50,7 +51,8 @@ class Selector:
 
     `init` learns the target in a box, `track` finds it again, around the prior if there is one; `begin` is called as a
     new target has been caught up with, so that nothing of the old one is believed.  `box` is the target in the first
-    frame, None to wait for a selection.
+    frame, None to wait for a selection.  `looks` finds the box of a click beside the loop (None: at once); `refuse` is
+    told why there is none.
     """
 
     def __init__(
@@ -60,9 +62,13 @@ class Selector:
         recent: KeepsFrames,
         begin: Callable[[], None],
         box: Box | None = None,
+        looks: Executor | None = None,
+        refuse: Callable[[str], object] = lambda _why: None,
     ) -> None:
         self._init, self._track, self._recent, self._begin = init, track, recent, begin
-        self._first = box
+        self._first = self._box_at_start = box
+        self._looks, self._refuse = looks, refuse
+        self._looking: tuple[Future[Box | str], Frame, str] | None = None
         self._start: Start | None = None
         self._done_t_s: float | None = None  # time of the last frame that was tracked while behind; None: not behind
         self._has_target = False
@@ -77,34 +83,49 @@ class Selector:
 
     def choose(self, choice: Choice) -> str:
         """Take a selection or a stop; returns why it is refused, empty if it is taken."""
-        if isinstance(choice, Stopped):
+        if isinstance(choice, Cleared):
             self.clear()
             return ""
-        found = self.start_of(choice)
-        if isinstance(found, str):
-            return found
-        self._start, self._first = found, None
+        frame = self.frame_of(choice)
+        if isinstance(frame, str):
+            return frame
+        if choice.is_point and self._looks is not None:
+            self._looking = self._looks.submit(meant, choice, frame.image), frame, choice.by
+            return ""
+        return self._take(meant(choice, frame.image), frame, choice.by)
+
+    def _take(self, box: Box | str, frame: Frame, by: str) -> str:
+        if isinstance(box, str):
+            return box
+        self._start, self._first = Start(box, frame, by), None
         return ""
+
+    def restart(self) -> None:
+        """Start again in the next frame, on the box of the beginning."""
+        self.clear()
+        self._first = self._box_at_start
 
     def clear(self) -> None:
         """Forget the target."""
         self._start, self._first, self._done_t_s, self._has_target = None, None, None, False
+        self._looking = None
         self._begin()
 
-    def start_of(self, selection: Selection) -> Start | str:
-        """The frame and the box that a selection means, or why there is none."""
+    def frame_of(self, selection: Selection) -> Frame | str:
+        """The frame that a selection was drawn on, or why there is none."""
         kept = self._recent.kept
         if not kept:
             return "no image yet: nothing selected"
         if selection.frame_t_s < kept[0].t_s - EARLY_S:
-            late_s = kept[-1].t_s - selection.frame_t_s
-            return f"selected {late_s:.1f} s late: select again"
-        frame = min(kept, key=lambda known: abs(known.t_s - selection.frame_t_s))
-        box = meant(selection, frame.image)
-        return box if isinstance(box, str) else Start(box, frame, selection.by)
+            return f"selected {kept[-1].t_s - selection.frame_t_s:.1f} s late: select again"
+        return min(kept, key=lambda known: abs(known.t_s - selection.frame_t_s))
 
     def update(self, image: Image, prior: Box | None = None) -> Track | None:
         """The track of the newest frame; not found while the tracker catches up, None without a target."""
+        if self._looking is not None and self._looking[0].done():
+            (found, frame, by), self._looking = self._looking, None
+            if why := self._take(found.result(), frame, by):
+                self._refuse(why)
         if self._first is not None:
             box, self._first, self._has_target = self._first, None, True
             return self._init(image, box)
@@ -123,7 +144,7 @@ class Selector:
         if start.frame.index == self._recent.kept[-1].index:
             self._done_t_s = None
             self._begin()
-            return track
+            return replace(track, found=False)
         return self._catch_up(start.frame.t_s, start.box)
 
     def _catch_up(self, done_t_s: float, box: Box) -> Track:
@@ -139,7 +160,7 @@ class Selector:
             return Track(box, box, 0.0, 0.0, 0.0, found=False)
         self._done_t_s = None
         self._begin()
-        return track
+        return replace(track, found=False)  # the estimate still holds the old target in this round
 
 
 def meant(selection: Selection, image: Image) -> Box | str:

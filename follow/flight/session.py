@@ -6,6 +6,9 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import cast
 
+import numpy as np
+from numpy.typing import NDArray
+
 from follow.control.acquire import Acquire
 from follow.control.servo import STEEPEST_RAD, ServoConfig, ServoMode
 from follow.messages import NO_INSTRUCTION, Cause, Instruction, Notify, Order, Reason, Tick
@@ -19,19 +22,28 @@ from racf import Racf
 from racf.box import Box
 from racf.commandline import StopReported, UsageError
 from racf.evaluate.trackers import TrackerSpec
+from racf.track import Track
 from racf.tracker import warm_up
 
+Start = Callable[[NDArray[np.uint8], Box], Track]
+Update = Callable[[NDArray[np.uint8], Box | None], Track]
 
-def acquire(name: str, box: Box) -> Acquire:
-    """A warm tracker that starts on the box in the first frame.  Raises UsageError for an unknown name."""
+
+def tracker_of(name: str) -> tuple[Start, Update]:
+    """A warm tracker: how it learns a target, and how it finds it again.  Raises UsageError for an unknown name."""
     try:
         tracker = TrackerSpec.parse(name).build()
     except ValueError as error:
         raise UsageError(f"--tracker: {error}") from None
     if isinstance(tracker, Racf):
         warm_up()
-        return Acquire(tracker.init, tracker.update, box)
-    return Acquire(tracker.init, lambda image, _prior: tracker.update(image), box)
+        return tracker.init, tracker.update
+    return tracker.init, lambda image, _prior: tracker.update(image)
+
+
+def acquire(name: str, box: Box) -> Acquire:
+    """A warm tracker that starts on the box in the first frame.  Raises UsageError for an unknown name."""
+    return Acquire(*tracker_of(name), box)
 
 
 def once(order: Order) -> Callable[[], Instruction]:

@@ -39,6 +39,7 @@ MODE_EVERY_S = 0.2  # a HEARTBEAT is requested: its mode is the only truth, and 
 MODE_SOON_S = 0.05  # the same while a requested mode is awaited
 VERSION_EVERY_S = 2.0
 STREAM_GAP_S = 0.5  # 2 Hz; also the shortest COM_OF_LOSS_T and GUID_TIMEOUT that we ask for
+TEXT_BYTES = 50  # of STATUSTEXT
 REFUSAL_TEXT_S = 2.0  # a STATUSTEXT within this time of a refused request is its reason
 
 
@@ -229,6 +230,15 @@ class MavlinkClient:
         numbers = (*params, *(0.0,) * (7 - len(params)))
         target = self.vehicle_id or 0, AUTOPILOT
         self._send(dialect.MAVLink_command_long_message(*target, command, 0, *numbers))
+
+    def tell(self, text: str, severity: int = dialect.MAV_SEVERITY_INFO) -> None:
+        """Queue a STATUSTEXT for the pilot; the autopilot forwards it.  Longer texts are cut at 50 bytes."""
+        self._send(dialect.MAVLink_statustext_message(severity, text.encode("ascii", "replace")[:TEXT_BYTES]))
+
+    def tell_value(self, name: str, value: float, t_s: float) -> None:
+        """Queue a NAMED_VALUE_FLOAT: a figure that a ground station shows or plots; `name` has at most 10 letters."""
+        boot_ms = round(t_s * 1e3) & 0xFFFFFFFF
+        self._send(dialect.MAVLink_named_value_float_message(boot_ms, name.encode("ascii")[:10], value))
 
     def request_parameter(self, name: str) -> None:
         """Request one parameter; the answer appears in `heard.parameters`."""

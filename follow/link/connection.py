@@ -7,6 +7,7 @@ the caller's thread: if that hangs, the stream of setpoints stops and the autopi
 import logging
 import threading
 import time
+from collections.abc import Callable, Sequence
 from queue import Empty, SimpleQueue
 from types import TracebackType
 
@@ -42,6 +43,7 @@ class MavlinkLink:
         self.client = MavlinkClient(system_id, signing)
         self.unsent = 0  # packets that the transport dropped
         self._unsent_told = (NEVER, 0)  # when it was last reported, and how many by then
+        self.listeners: list[Callable[[Message, float], object]] = []  # hear every message, believed or not
         self._transport = transport
         self._tlog = tlog
         self._arrived: SimpleQueue[tuple[float, bytes, Source]] = SimpleQueue()
@@ -106,6 +108,9 @@ class MavlinkLink:
                 for message in found:
                     self._tlog.write(bytes(message.get_msgbuf()), unix_s)
             messages += found
+            for listener in self.listeners:
+                for message in found:
+                    listener(message, t_s)
         self.client.step(time.monotonic())
         self._flush()
         return messages
@@ -147,8 +152,15 @@ class MavlinkLink:
             if data:
                 self._arrived.put((time.monotonic(), data, source))
 
+    def write(self, packets: Sequence[bytes]) -> None:
+        """Send packets of another component of ours, as they are."""
+        self._write(packets)
+
     def _flush(self) -> None:
-        for packet in self.client.take():
+        self._write(self.client.take())
+
+    def _write(self, packets: Sequence[bytes]) -> None:
+        for packet in packets:
             if not self._transport.write(packet) and self.client.vehicle_id is not None:
                 self.unsent += 1
             if self._tlog is not None:

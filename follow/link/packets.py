@@ -48,6 +48,11 @@ class Packets:
             signing.install(self._mav)
 
     @property
+    def signing(self) -> Signing | None:
+        """The key and its clock, None without signing."""
+        return self._signing
+
+    @property
     def address(self) -> tuple[int, int]:
         """Our own (system id, component id)."""
         return self._mav.srcSystem, self._mav.srcComponent

@@ -13,7 +13,7 @@ import sys
 import termios
 import tty
 from collections.abc import Callable, Generator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import FrameType
 from typing import Protocol
 
@@ -23,6 +23,7 @@ from follow.messages import NEVER, Cause, Instruction, Mode, Notify, Order, Reas
 from follow.operator.mode_changes import ModeChanges
 from follow.operator.sticks import PWM, StickWatch
 from follow.safety.modes import STREAMING
+from follow.selection import AS_SET, Wanted
 
 SWITCH_ON_US = 1700  # PWM above which a switch is on; between the two it keeps its state
 SWITCH_OFF_US = 1300
@@ -95,6 +96,9 @@ class Operator:
     heard: RemoteObservations | None = None
     red: tuple[str, ...] = ()
     aim: Callable[[], object] | None = None  # called when FOLLOW is ordered
+    forget: Callable[[], object] = lambda: None  # called when the tracker has another target
+    retargeted: bool = False
+    wanted: Callable[[], Wanted] = lambda: AS_SET  # how a person wants the vehicle to fly now
     leaving: str = ""  # why the program must end; empty: it must not
     mode: Mode = Mode.OBSERVE
     reason: Reason | None = None
@@ -111,6 +115,19 @@ class Operator:
 
     def __call__(self) -> Instruction:
         """The instruction of this round."""
+        instruction = replace(self.instruction(), wanted=self.wanted())
+        if not self.retargeted:
+            return instruction
+        self.retargeted = False
+        self.forget()
+        return replace(instruction, aimed=True)
+
+    def retarget(self) -> None:
+        """The tracker has another target: in this round the estimate forgets the old one."""
+        self.retargeted = True
+
+    def instruction(self) -> Instruction:
+        """The order of this round, and what forbids FOLLOW."""
         forbids = "; ".join((*self.red, *self.other_senders()))
         if reason := self.taken_back():
             self.waiting.clear()
@@ -123,10 +140,9 @@ class Operator:
             self.waiting.clear()
             return Instruction(order, Reason(Cause.OBSERVE_ORDERED, by), forbids)
         self.ordered = True
-        aimed = self.aim is not None and self.mode not in STREAMING and not forbids
-        if aimed and self.aim is not None:
+        if self.aim is not None and self.mode not in STREAMING and not forbids:
             self.aim()
-        return Instruction(order, Reason(Cause.FOLLOW_ORDERED, by), forbids, aimed=aimed)
+        return Instruction(order, Reason(Cause.FOLLOW_ORDERED, by), forbids)
 
     def see(self, tick: Tick) -> None:
         """Take one round, and report a new mode or a new reason for it once."""

@@ -16,7 +16,7 @@ from pymavlink.dialects.v20 import common as dialect
 from follow.link.packets import Message, Packets
 from follow.link.signing import Signing
 from follow.messages import NEVER
-from follow.selection import Choose, Selection, Stopped, TrackingState, TrackingStatus
+from follow.selection import Choose, Cleared, Selection, TrackingState, TrackingStatus
 
 log = logging.getLogger(__name__)
 
@@ -157,7 +157,7 @@ class GroundCamera:
         if command in (POINT, RECTANGLE):
             return self._select(command, numbers, t_s, by)
         if command == STOP:
-            return refused_or_not(self._choose(Stopped(by)))
+            return refused_or_not(self._choose(Cleared(by)))
         if command in OLD_REQUESTS or command == dialect.MAV_CMD_REQUEST_MESSAGE:
             wanted = wanted_message(command, numbers)
             return Answer(ACCEPTED if wanted is not None and self._message(wanted, t_s) else UNSUPPORTED)

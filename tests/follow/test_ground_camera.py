@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import common as dialect
 
 from follow.link.packets import Packets
 from follow.operator.ground_camera import GroundCamera, StreamDescription
-from follow.selection import Selection, Stopped, TrackingState, TrackingStatus
+from follow.selection import Cleared, Selection, TrackingState, TrackingStatus
 from tests.support.ground_station import NEW, OLD, GroundStation
 
 VARIANTS = pytest.mark.parametrize("variant", [OLD, NEW])
@@ -93,7 +93,7 @@ def test_a_dragged_box_is_selected_drawn_and_stopped(variant):
     assert 18 <= len(station.boxes) <= 21, "ten a second"
     station.stop(rig.t_s)
     rig.run(2.0)
-    assert rig.chosen[1:] == [Stopped("the ground station 255/190")]
+    assert rig.chosen[1:] == [Cleared("the ground station 255/190")]
     statuses = [message.tracking_status for _t_s, message in rig.of_kind("CAMERA_TRACKING_IMAGE_STATUS")]
     assert statuses.count(0) == 1
     assert statuses[-1] == 0

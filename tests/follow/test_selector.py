@@ -7,7 +7,7 @@ from follow.camera.recent import RecentFrames
 from follow.control.click import box_at
 from follow.control.selector import CATCH_UP, Selector
 from follow.messages import Frame
-from follow.selection import Selection, Stopped
+from follow.selection import Cleared, Selection
 from racf.box import Box
 from racf.track import Track
 
@@ -82,7 +82,7 @@ def test_a_box_drawn_late_is_on_the_target_when_it_has_caught_up(late):
     tracks, follower, begun = flown(80, late)
     assert all(track is None for track in tracks[:30])
     rounds = next(n for n, track in enumerate(tracks[30:]) if track is not None and track.found)
-    assert rounds <= late / (CATCH_UP - 1) + 1
+    assert rounds <= late / (CATCH_UP - 1) + 2
     for index in range(30 + rounds, 80):
         assert tracks[index].found
         assert tracks[index].box.x == 50 + 5 * index
@@ -108,7 +108,7 @@ def test_a_stop_leaves_no_target_and_the_next_selection_starts_anew():
     seen = []
     for frame in recent.frames():
         if frame.index == 10:
-            assert selector.choose(Stopped("a test")) == ""
+            assert selector.choose(Cleared("a test")) == ""
         seen.append(selector.update(frame.image))
     assert all(track is not None and track.found for track in seen[:10])
     assert all(track is None for track in seen[10:])

@@ -93,6 +93,9 @@ class GroundStation:
         self.out.append(message.pack(self.mav))
         self.waiting[command] = t_s
 
+    def heartbeat(self) -> bytes:
+        return dialect.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(self.mav)
+
     def take(self) -> list[bytes]:
         out, self.out = self.out, []
         return out

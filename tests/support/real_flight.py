@@ -128,6 +128,7 @@ class Pilot:
         from pymavlink import mavutil  # noqa: PLC0415 (it reads the environment when it is imported)
 
         self.rules = rules
+        self.hears: Callable[[bytes], object] = lambda _packet: None
         self.known: dict[str, tuple[int, dialect.MAVLink_message]] = {}  # the autopilot's messages: how many, the last
         self.link = mavutil.mavlink_connection(f"udpout:127.0.0.1:{port}", source_system=255)
         self._ending = threading.Event()
@@ -141,6 +142,8 @@ class Pilot:
     def _listen(self) -> None:
         while not self._ending.is_set():
             message = self.link.recv_match(blocking=True, timeout=0.1)
+            if message is not None:
+                self.hears(bytes(message.get_msgbuf()))
             if message is not None and message.get_srcComponent() == 1:
                 kind = message.get_type()
                 self.known[kind] = self.known.get(kind, (0, message))[0] + 1, message
@@ -206,7 +209,10 @@ class Program:
             assert self.process.poll() is None or self.said(pattern), f"it ended: {self.lines}"
             return self.said(pattern)
 
-        until(f"said {pattern!r}: {self.lines}", done, seconds)
+        try:
+            until(f"said {pattern!r}", done, seconds)
+        except LateError as error:
+            raise LateError(f"{error}: {self.lines}") from error
 
     def end(self, number: int = signal.SIGINT, seconds: float = 30.0) -> int:
         """Send a signal and wait for the end; the exit status."""
@@ -289,7 +295,15 @@ class Real:
 
 @contextlib.contextmanager
 def real_flight(
-    rules: str, out: Path, *, mavsdk: bool = False, height_m: float = 6.0, options=(), settings=(), **process
+    rules: str,
+    out: Path,
+    *,
+    mavsdk: bool = False,
+    height_m: float = 6.0,
+    options=(),
+    settings=(),
+    begins: str = "ready",
+    **process,
 ):
     """`follow run` on the scene's walker beside a hovering autopilot, in OBSERVE or READY; yields a Real.
 
@@ -311,5 +325,5 @@ def real_flight(
         call = [sys.executable, "-m", "follow.cli", "run", "--link", link, "--camera", "scene:walker"]
         call += ["--out", str(out), *options]
         application = stack.enter_context(program(call, **process))
-        application.wait_until_said("ready", READY_S)
+        application.wait_until_said(begins, READY_S)
         yield Real(rules, out, relay, pilot, application, autopilot)

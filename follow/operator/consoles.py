@@ -1,0 +1,256 @@
+"""Many consoles, one commander: who may order, what an order means now, and what each console is shown.
+
+A console is anything through which a person orders: the page, a ground station.  The keys, the switch and signals of
+the one who stands beside the vehicle go to `Operator` directly and need no command.  Here one console commands at a
+time: the first that orders, until it hands over (`release`) or falls silent; STOP works from all.
+
+Track, confirm, follow are three things.  A selected box is tracked and nothing is sent.  FOLLOW flies to a target that
+a person drew a moment ago; any other target is shown first (`Consoles.proposal`) and flown to after CONFIRM.  A target
+that is changed in flight is looked at (spotlight) until FOLLOW is ordered again.
+"""
+
+import math
+from dataclasses import dataclass, field, replace
+from enum import Enum
+
+from follow.messages import NEVER, Mode, Notify, Order, Tick
+from follow.operator.authority import Operator
+from follow.safety.modes import FLYING, STREAMING
+from follow.selection import AS_SET, HOVER_HERE, Choice, Choose, Selection, TrackingState, TrackingStatus, Wanted
+
+SPOTLIGHT = "spotlight"
+DRAWN_S = 10.0  # a box drawn within this time is what the person means; an older one is confirmed
+CONFIRM_S = 15.0  # CONFIRM answers a proposal that is not older
+SELECT_EVERY_S = 0.3  # a flood of selections must not keep the tracker from its work
+SILENT_S = 10.0  # a commander that was not heard for this long no longer commands
+STANDOFF_STEP, STANDOFF_RANGE = 1.15, (0.5, 2.5)  # factor of one press, and the least and the greatest of all
+RAISE_STEP_RAD, RAISE_RANGE = (
+    math.radians(3.0),
+    (-math.radians(9.0), math.radians(9.0)),
+)  # a third of a wide view's half
+AROUND_M_S, AROUND_STEP_S = 1.5, 2.0  # one press moves it 3 m to the side
+
+
+class ConsoleCommand(str, Enum):
+    """What a person may order from a console."""
+
+    FOLLOW = "follow"
+    CONFIRM = "confirm"
+    SPOTLIGHT = "spotlight"
+    HOLD = "hold"
+    STOP = "stop"
+    NEARER = "nearer"
+    FARTHER = "farther"
+    HIGHER = "higher"
+    LOWER = "lower"
+    LEFT = "left"
+    RIGHT = "right"
+    CHASE = "chase"
+    ORBIT = "orbit"
+    PROFILE = "profile"
+    TOP_DOWN = "top-down"
+
+
+MODES = (ConsoleCommand.CHASE, ConsoleCommand.ORBIT, ConsoleCommand.PROFILE, ConsoleCommand.TOP_DOWN)
+TRIMS = (
+    ConsoleCommand.NEARER,
+    ConsoleCommand.FARTHER,
+    ConsoleCommand.HIGHER,
+    ConsoleCommand.LOWER,
+    ConsoleCommand.LEFT,
+    ConsoleCommand.RIGHT,
+)
+
+
+NOTHING = TrackingStatus(TrackingState.IDLE, None, NEVER)
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """What became of an order: done or not, and why or what comes next."""
+
+    done: bool
+    words: str
+
+
+@dataclass(slots=True)
+class Consoles:
+    """The consoles' side of the operator, called in the loop's thread only.
+
+    `select` takes a choice to the tracker.  `standoff_m` is the stand-off that is set; `follows` lets a box that is
+    drawn order FOLLOW by itself.
+    """
+
+    operator: Operator
+    select: Choose
+    report: Notify
+    standoff_m: float = 12.0
+    follows: bool = False
+    commander: str = ""
+    wanted: Wanted = AS_SET
+    heard_t_s: dict[str, float] = field(default_factory=dict[str, float])
+    selected_t_s: float = NEVER
+    drawn_t_s: float = NEVER
+    proposed_t_s: float = NEVER
+    around_until_s: float = NEVER
+    flown_mode: str = ""  # the servo mode that FOLLOW flies
+    status: TrackingStatus = NOTHING  # what every console shows of the tracker
+    tick: Tick | None = None
+
+    @property
+    def t_s(self) -> float:
+        """The loop's time."""
+        return NEVER if self.tick is None else self.tick.state.t_s
+
+    @property
+    def mode(self) -> Mode:
+        """The gate's mode."""
+        return Mode.OBSERVE if self.tick is None else self.tick.decision.mode
+
+    def see(self, tick: Tick) -> None:
+        """Take one round; a flight that ended keeps no trim."""
+        was_streaming = self.mode in STREAMING
+        self.tick, self.status = tick, shown(tick, self.status)
+        if self.around_until_s <= self.t_s and self.wanted.around_m_s != 0.0:
+            self.wanted = replace(self.wanted, around_m_s=0.0)
+        if was_streaming and self.mode not in STREAMING:
+            self.wanted = AS_SET
+
+    def hears(self, console: str) -> None:
+        """A console showed that a person is there."""
+        self.heard_t_s[console] = self.t_s
+
+    def leaves(self, console: str) -> None:
+        """A console has gone."""
+        self.heard_t_s.pop(console, None)
+        self.release(console)
+
+    def release(self, console: str) -> Reply:
+        """Hand the command over: the next console that orders commands."""
+        if self.commander != console:
+            return Reply(False, "you do not command")
+        self.commander = ""
+        self.report(f"{console} hands over the command")
+        return Reply(True, "handed over")
+
+    def why_not(self, console: str) -> str:
+        """Why this console may not order, empty if it may; it commands from now on if nobody does."""
+        self.hears(console)
+        holder = self.commander
+        is_there = self.t_s - self.heard_t_s.get(holder, NEVER) <= SILENT_S
+        if holder and holder != console and is_there:
+            return f"{holder} commands: hand over there first"
+        if holder != console:
+            self.commander = console
+            self.report(f"{console} commands")
+        return ""
+
+    def choose(self, choice: Choice) -> str:
+        """Take a selection or a stop from a console; returns why it is refused, empty if it is taken."""
+        if not isinstance(choice, Selection):
+            self.order(ConsoleCommand.STOP, choice.by)
+            return self.select(choice)
+        why = self.why_not(choice.by)
+        if not why and self.t_s - self.selected_t_s < SELECT_EVERY_S:
+            why = "one selection at a time"
+        if why:
+            return why
+        self.selected_t_s = self.t_s
+        if why := self.select(choice):
+            self.report(f"selection by {choice.by} refused: {why}")
+            return why
+        self.drawn_t_s, self.proposed_t_s = self.t_s, NEVER
+        self.report(f"target selected by {choice.by}")
+        if self.mode in FLYING:
+            self.wanted = Wanted(mode=SPOTLIGHT)
+        if self.follows:
+            self.operator.order(Order.FOLLOW, choice.by)
+            self.wanted = AS_SET
+        return ""
+
+    def order(self, command: ConsoleCommand, by: str) -> Reply:
+        """Give an order of a console; the reply says what became of it."""
+        reply = self._order(command, by)
+        self.report(f"{by}: {command.value}: {reply.words}")
+        return reply
+
+    def _order(self, command: ConsoleCommand, by: str) -> Reply:
+        if command is ConsoleCommand.STOP:
+            self.hears(by)
+            self.wanted = AS_SET
+            self.operator.order(Order.OBSERVE, by)
+            return Reply(True, "stopped")
+        if why := self.why_not(by):
+            return Reply(False, why)
+        if command in (ConsoleCommand.FOLLOW, ConsoleCommand.SPOTLIGHT, ConsoleCommand.CONFIRM):
+            return self._fly(command, by)
+        return self._trim(command) if command in TRIMS else self._change_mode(command)
+
+    def _change_mode(self, command: ConsoleCommand) -> Reply:
+        """Hover, or another servo mode."""
+        if command is not ConsoleCommand.HOLD:
+            self.flown_mode = command.value
+            if self.wanted.mode not in (SPOTLIGHT, HOVER_HERE):
+                self.wanted = replace(self.wanted, mode=self.flown_mode)
+            return Reply(True, f"will fly {command.value}")
+        if self.mode not in FLYING:
+            return Reply(False, "nothing is flown")
+        self.wanted = Wanted(mode=HOVER_HERE)
+        return Reply(True, "hovers; FOLLOW goes on")
+
+    def _fly(self, command: ConsoleCommand, by: str) -> Reply:
+        """FOLLOW, SPOTLIGHT, or CONFIRM of what was proposed."""
+        if self.status.state is TrackingState.IDLE:
+            return Reply(False, "select a target first")
+        mode = SPOTLIGHT if command is ConsoleCommand.SPOTLIGHT else self.flown_mode
+        is_proposed = self.t_s - self.proposed_t_s <= CONFIRM_S
+        is_drawn = self.t_s - self.drawn_t_s <= DRAWN_S
+        if command is ConsoleCommand.CONFIRM and not is_proposed:
+            return Reply(False, "nothing to confirm: order FOLLOW")
+        if command is ConsoleCommand.FOLLOW and not is_drawn:
+            self.proposed_t_s = self.t_s
+            return Reply(False, f"CONFIRM: {self.proposal()}")
+        self.proposed_t_s = NEVER
+        self.wanted = Wanted(mode=mode)
+        if self.mode not in FLYING or self.mode is Mode.HOLD:
+            self.operator.order(Order.FOLLOW, by)
+        return Reply(True, "ordered" if self.mode not in FLYING else mode or "follows")
+
+    def _trim(self, command: ConsoleCommand) -> Reply:
+        """Change the wanted geometry, not the authority."""
+        w = self.wanted
+        if self.mode not in FLYING or w.mode in (SPOTLIGHT, HOVER_HERE):
+            return Reply(False, "trims act while it follows")
+        if command in (ConsoleCommand.NEARER, ConsoleCommand.FARTHER):
+            factor = w.standoff_factor * (STANDOFF_STEP if command is ConsoleCommand.FARTHER else 1 / STANDOFF_STEP)
+            w = replace(w, standoff_factor=min(max(factor, STANDOFF_RANGE[0]), STANDOFF_RANGE[1]))
+        elif command in (ConsoleCommand.HIGHER, ConsoleCommand.LOWER):
+            raised = w.raise_rad + (RAISE_STEP_RAD if command is ConsoleCommand.HIGHER else -RAISE_STEP_RAD)
+            w = replace(w, raise_rad=min(max(raised, RAISE_RANGE[0]), RAISE_RANGE[1]))
+        else:
+            w = replace(w, around_m_s=AROUND_M_S if command is ConsoleCommand.RIGHT else -AROUND_M_S)
+            self.around_until_s = self.t_s + AROUND_STEP_S
+        self.wanted = w
+        return Reply(True, f"stand-off {self.standoff_m * w.standoff_factor:.0f} m, {math.degrees(w.raise_rad):+.0f}°")
+
+    def proposal(self) -> str:
+        """What would be flown: range, height, stand-off and mode."""
+        if self.tick is None:
+            return "no estimate yet"
+        seen = self.tick.estimate
+        height_m = seen.range_m * math.tan(seen.depression_rad)
+        mode = self.flown_mode or ConsoleCommand.CHASE.value
+        return f"{seen.range_m:.0f} m away, {height_m:.0f} m above it; {mode} at {self.standoff_m:.0f} m"
+
+
+def shown(tick: Tick, before: TrackingStatus) -> TrackingStatus:
+    """What the consoles show after one round; `before` is what they showed."""
+    if tick.frame is None:
+        return before
+    track = tick.track
+    if track is None:
+        return TrackingStatus(TrackingState.IDLE, None, tick.frame.t_s)
+    rows, columns = tick.frame.image.shape[:2]
+    box = track.box.x / columns, track.box.y / rows, track.box.w / columns, track.box.h / rows
+    state = TrackingState.ACTIVE if track.found else TrackingState.COASTING
+    return TrackingStatus(state, box, tick.frame.t_s)

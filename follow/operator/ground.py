@@ -1,0 +1,104 @@
+"""Ground stations: behind the autopilot on its link, or talking to us directly.
+
+Called in the loop's thread; nothing here waits.  At most DATAGRAMS arrive in a round from the direct side, so that a
+flood of them does not delay a setpoint.
+"""
+
+from typing import Protocol
+
+from follow.link.identity import Source
+from follow.link.packets import Message, Packets
+from follow.link.signing import Signing
+from follow.link.transports import Transport
+from follow.messages import NEVER, Tick
+from follow.operator.consoles import Consoles
+from follow.operator.ground_camera import GroundCamera
+from follow.operator.told import PilotTexts
+
+DATAGRAMS = 20
+STATIONS = 4  # ground stations that are answered directly at a time: the last that were heard
+HEARD_S = 10.0
+
+
+class CarriesPackets(Protocol):
+    """The autopilot's link; `follow.link.connection.MavlinkLink` is one."""
+
+    def write(self, packets: list[bytes]) -> None:
+        """Send packets as they are."""
+        ...
+
+
+class DirectSide:
+    """Ground stations that talk to us without the autopilot between."""
+
+    def __init__(self, transport: Transport, signing: Signing | None = None) -> None:
+        self._transport = transport
+        self._packets = Packets(1, 191, signing)
+        self._heard_t_s: dict[Source, float] = {}
+
+    def receive(self, t_s: float) -> list[Message]:
+        """The messages that came since the last round."""
+        messages: list[Message] = []
+        for _ in range(DATAGRAMS):
+            data, source = self._transport.read(0.0)
+            if not data:
+                break
+            found = self._packets.read_datagram(data) if self._transport.datagrams else self._packets.read(data)
+            if found:
+                self._heard_t_s.pop(source, None)
+                self._heard_t_s[source] = t_s
+            messages += found
+        recent = [(source, at) for source, at in self._heard_t_s.items() if t_s - at < HEARD_S]
+        self._heard_t_s = dict(recent[-STATIONS:])
+        return messages
+
+    def write(self, packets: list[bytes]) -> None:
+        """Send packets to every ground station that was heard."""
+        for source in self._heard_t_s:
+            self._transport.answer_to(source)
+            for packet in packets:
+                self._transport.write(packet)
+
+    def close(self) -> None:
+        """Close the transport."""
+        self._transport.close()
+
+
+class GroundSide:
+    """The camera that ground stations point in, and what the pilot is told; `see` takes each tick."""
+
+    def __init__(
+        self,
+        link: CarriesPackets,
+        camera: GroundCamera,
+        consoles: Consoles,
+        texts: PilotTexts,
+        direct: DirectSide | None = None,
+    ) -> None:
+        self._link, self._camera, self._consoles, self._texts, self._direct = link, camera, consoles, texts, direct
+        self._waiting: list[tuple[Message, float]] = []
+
+    def hear(self, message: Message, t_s: float) -> None:
+        """Take a message of the autopilot's link; it is answered in the next round."""
+        if len(self._waiting) < DATAGRAMS and message.get_type() in ("COMMAND_LONG", "COMMAND_INT"):
+            self._waiting.append((message, t_s))
+
+    def see(self, tick: Tick) -> None:
+        """Take one round, after the consoles did."""
+        t_s = tick.state.t_s
+        waiting, self._waiting = self._waiting, []
+        if self._direct is not None and t_s > NEVER:
+            waiting += [(message, t_s) for message in self._direct.receive(t_s)]
+        for message, heard_t_s in waiting:
+            self._camera.hear(message, heard_t_s)
+        self._camera.step(t_s, self._consoles.status)
+        self._texts.see(tick)
+        packets = self._camera.take()
+        self._link.write(packets)
+        if self._direct is not None:
+            self._direct.write(packets)
+
+    def close(self) -> None:
+        """Close the direct side."""
+        if self._direct is not None:
+            self._direct.close()

@@ -1,0 +1,194 @@
+"""Consoles: one commands, STOP works from all, a target that nobody drew just now is confirmed, trims are bounded."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from follow.messages import HOVER, Decision, Estimate, Frame, Mode, Order, Tick, VehicleState
+from follow.operator.authority import Operator
+from follow.operator.consoles import CONFIRM_S, DRAWN_S, SILENT_S, ConsoleCommand, Consoles
+from follow.operator.told import TEXT_EVERY_S, PilotTexts
+from follow.selection import AS_SET, HOVER_HERE, Cleared, Selection, TrackingState
+from racf.box import Box
+from racf.track import Track
+
+BOX = Box(320, 180, 16, 36)
+PAGE, GROUND = "the page", "the ground station 255/190"
+
+
+def tick(t_s, mode, has_target=True, notes=(), frame=True):
+    track = Track(BOX, BOX, 30.0, 100.0, 0.9) if has_target else None
+    image = Frame(np.zeros((360, 640, 3), np.uint8), t_s, round(t_s * 20)) if frame else None
+    seen = Estimate(t_s, 0.0, 0.4, 20.0, 0.5, seen_t_s=t_s)
+    return Tick(image, track, VehicleState(t_s), seen, HOVER, Decision(None, mode, notes))
+
+
+class Desk:
+    """Consoles beside an operator; time goes on by `at`."""
+
+    def __init__(self, **options):
+        self.lines, self.chosen, self.refusal = [], [], ""
+        self.operator = Operator(self.lines.append)
+        self.consoles = Consoles(self.operator, self.select, self.lines.append, **options)
+        self.has_target = False
+        self.at(1.0, Mode.READY)
+
+    def select(self, choice):
+        self.chosen.append(choice)
+        self.has_target = isinstance(choice, Selection) and not self.refusal
+        return self.refusal
+
+    def at(self, t_s, mode):
+        self.consoles.see(tick(t_s, mode, self.has_target))
+
+    def draw(self, by=PAGE):
+        return self.consoles.choose(Selection(0.5, 0.5, 0.025, 0.1, 1.0, by))
+
+    def order(self, command, by=PAGE):
+        return self.consoles.order(ConsoleCommand(command), by)
+
+    def ordered(self):
+        waiting, self.operator.waiting[:] = list(self.operator.waiting), []
+        return [order for order, _by in waiting]
+
+
+def test_a_drawn_target_is_tracked_and_follow_flies_to_it():
+    desk = Desk()
+    assert not desk.order("follow").done
+    assert desk.draw() == ""
+    assert desk.ordered() == [], "a selection orders nothing"
+    desk.at(2.0, Mode.READY)
+    assert desk.consoles.status.state is TrackingState.ACTIVE
+    assert desk.consoles.status.box == pytest.approx((0.5, 0.5, 0.025, 0.1))
+    assert desk.order("follow").done
+    assert desk.ordered() == [Order.FOLLOW]
+
+
+def test_an_old_target_is_shown_first_and_flown_to_after_confirm():
+    desk = Desk()
+    desk.draw()
+    desk.at(1.1 + DRAWN_S, Mode.READY)
+    reply = desk.order("follow")
+    assert not reply.done
+    assert "20 m away" in reply.words
+    assert desk.ordered() == []
+    desk.at(1.2 + DRAWN_S + CONFIRM_S, Mode.READY)
+    assert not desk.order("confirm").done, "too late"
+    desk.order("follow")
+    desk.at(1.3 + DRAWN_S + CONFIRM_S, Mode.READY)
+    assert desk.order("confirm").done
+    assert desk.ordered() == [Order.FOLLOW]
+
+
+def test_one_console_commands_and_stop_works_from_all():
+    desk = Desk()
+    desk.draw(PAGE)
+    desk.at(2.0, Mode.READY)
+    assert "commands" in desk.order("follow", GROUND).words
+    assert desk.draw(GROUND) != ""
+    assert desk.order("stop", GROUND).done
+    assert desk.ordered() == [Order.OBSERVE]
+    assert desk.consoles.release(PAGE).done
+    assert desk.order("follow", GROUND).done
+
+
+def test_a_silent_commander_commands_no_longer():
+    desk = Desk()
+    desk.draw(PAGE)
+    desk.at(2.0 + SILENT_S, Mode.READY)
+    desk.order("spotlight", GROUND)
+    assert desk.consoles.commander == GROUND
+
+
+def test_a_changed_target_is_looked_at_until_follow_is_ordered_again():
+    desk = Desk()
+    desk.draw()
+    desk.at(2.0, Mode.READY)
+    desk.order("follow")
+    desk.at(3.0, Mode.FOLLOW)
+    assert desk.consoles.wanted.mode == ""
+    desk.draw()
+    assert desk.consoles.wanted.mode == "spotlight"
+    desk.at(4.0, Mode.FOLLOW)
+    assert desk.order("follow").done
+    assert desk.consoles.wanted == AS_SET
+
+
+def test_hold_hovers_and_keeps_the_vehicle_and_an_end_forgets_what_was_wanted():
+    desk = Desk()
+    desk.draw()
+    desk.at(2.0, Mode.FOLLOW)
+    assert desk.order("hold").done
+    assert desk.consoles.wanted.mode == HOVER_HERE
+    assert desk.ordered() == []
+    desk.at(3.0, Mode.ENDED)
+    assert desk.consoles.wanted == AS_SET
+
+
+@given(st.lists(st.sampled_from(["nearer", "farther", "higher", "lower", "left", "right", "orbit", "chase"])))
+def test_trims_stay_bounded_and_the_move_to_the_side_ends(presses):
+    desk = Desk()
+    desk.draw()
+    t_s = 2.0
+    for press in presses:
+        desk.at(t_s, Mode.FOLLOW)
+        desk.order(press)
+        t_s += 0.1
+        wanted = desk.consoles.wanted
+        assert 0.5 <= wanted.standoff_factor <= 2.5
+        assert abs(wanted.raise_rad) <= 0.16
+    desk.at(t_s + 3.0, Mode.FOLLOW)
+    assert desk.consoles.wanted.around_m_s == 0.0
+    assert desk.ordered() == [], "a trim is no order"
+
+
+def test_a_refused_selection_goes_back_with_its_reason_and_a_flood_is_one():
+    desk = Desk()
+    desk.refusal = "box outside the image"
+    assert desk.draw() == "box outside the image"
+    desk.refusal = ""
+    for _ in range(1000):
+        desk.draw()
+    assert len(desk.chosen) == 1
+    desk.at(2.0, Mode.READY)
+    assert desk.draw() == ""
+    assert desk.consoles.choose(Cleared(PAGE)) == ""
+    assert desk.ordered() == [Order.OBSERVE]
+
+
+class Ears:
+    def __init__(self):
+        self.texts, self.values = [], []
+
+    def tell(self, text, severity):
+        self.texts.append((text, severity))
+
+    def tell_value(self, name, value, t_s):
+        self.values.append((name, value, t_s))
+
+
+def test_the_pilot_is_told_what_changes_at_most_once_a_second_in_fifty_letters():
+    ears = Ears()
+    texts = PilotTexts(ears)
+    sent = 0
+    for k in range(600):
+        modes = [Mode.READY, Mode.ENGAGE, Mode.FOLLOW, Mode.COAST, Mode.SEARCH, Mode.HOLD, Mode.ENDED]
+        before = len(ears.texts)
+        texts.see(tick(0.05 * k, modes[k // 60 % 7], notes=("slower: limits.fence_m (near the border)",)))
+        assert len(ears.texts) - before <= 1
+        sent += len(ears.texts) - before
+    assert sent <= 30.0 / TEXT_EVERY_S + 1
+    told = [text for text, _severity in ears.texts]
+    for word in ("ready", "taking over", "following", "target lost", "searching", "given up", "ended", "fence"):
+        assert any(word in text for text in told), word
+    assert {name for name, _value, _t in ears.values} == {"flw_range", "flw_height", "flw_conf"}
+    assert 55 <= len([1 for name, _value, _t in ears.values if name == "flw_range"]) <= 61
+
+
+def test_a_blink_of_the_tracker_is_no_news():
+    ears = Ears()
+    texts = PilotTexts(ears)
+    for k in range(100):
+        texts.see(tick(0.05 * k, Mode.COAST if k % 20 < 5 else Mode.FOLLOW))
+    assert not any("lost" in text for text, _severity in ears.texts)
