@@ -38,7 +38,7 @@ QUIET = (Cause.SEEN, Cause.READY, Cause.OBEYS, Cause.STARTED, Cause.FRESH)
 """Causes that add nothing to what happens."""
 
 
-class Pilot(Protocol):
+class TextLink(Protocol):
     """Where texts and figures go; `follow.link.client.MavlinkClient` is one."""
 
     def tell(self, text: str, severity: int) -> None:
@@ -54,7 +54,7 @@ class Pilot(Protocol):
 class PilotTexts:
     """Tells the pilot what changes; `see` takes each tick, `say` a line of a console."""
 
-    pilot: Pilot
+    pilot: TextLink
     shown: str = ""
     sent_t_s: float = NEVER
     values_t_s: float = NEVER
