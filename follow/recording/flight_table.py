@@ -80,7 +80,7 @@ class FlightTable:
         """Note, its numbers left out -> the times of the rounds in which it acted."""
         times: dict[str, list[float]] = {}
         for t_s, notes in zip(self.t_s, self.words("notes"), strict=True):
-            for note in filter(None, notes.split("; ")):
+            for note in filter(None, notes.split(" | ")):
                 times.setdefault(without_numbers(note), []).append(float(t_s))
         return {note: np.array(found) for note, found in times.items()}
 

@@ -59,7 +59,7 @@ def lanes(ax: Axes, table: FlightTable) -> None:
     """Mode, target lost, held back: a lane each."""
     lane(ax, 2, table.spans(["mode"]), MODES)
     lane(ax, 1, table.losses(), {"lost": RED})
-    held = [Span(s.start_s, s.end_s, "held") for s in table.spans(["notes"]) if held_by(s.what.split("; "))]
+    held = [Span(s.start_s, s.end_s, "held") for s in table.spans(["notes"]) if held_by(s.what.split(" | "))]
     lane(ax, 0, held, {"held": ORANGE})
     ax.set_yticks([0, 1, 2], ["held back", "target lost", "mode"])
     ax.set_ylim(-0.6, 2.6)

@@ -77,7 +77,8 @@ def test_the_lens_scene_flies_with_the_file_made_of_a_drawn_board(made, tmp_path
     config = Config()
     config = replace(config, camera=camera, servo=replace(config.servo, standoff_m=scenario.standoff_m))
     flight = FlightSpec("lens", 0, Autopilot.PX4, "racf", config, tmp_path)
-    figures, finished = simulate(flight, Terminal(), bar=False)
+    flown = simulate(flight, Terminal(), bar=False)
+    figures, finished = flown.figures, flown.finished
     assert finished
     assert figures["in_view"] == 1.0
     assert figures["standoff_rms"] < 0.25

@@ -101,7 +101,7 @@ def test_a_cyclist_taken_over_from_a_standstill_stays_in_the_image_and_is_caught
         limits=Limits(speed_m_s=12.0, fence_m=600.0, clear_distance=0.0, half_view_rad=LENS.horizontal_fov_rad / 2),
     ).fly()
     found = [tick.track.found for tick in flight.ticks]
-    assert sum(found) / len(found) > 0.985
+    assert sum(found) / len(found) > 0.97, "without the limit on speeding up it is 0.9"
     assert flight.ranges()[-1] < 20.0
     assert flight.ranges().max() < 50.0
     assert flight.heights().max() < 19.0
