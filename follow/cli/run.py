@@ -40,7 +40,7 @@ from follow.link import Link
 from follow.link.connection import MavlinkLink, connect
 from follow.link.signing import Signing
 from follow.link.tlog import Tlog
-from follow.link.transports import open_transport, parse_address
+from follow.link.transports import Reach, open_transport, parse_address, reach_of
 from follow.messages import Autopilot, Notify, Tick
 from follow.operator.authority import Keys, Operator
 from follow.operator.consoles import Consoles
@@ -124,6 +124,13 @@ def check(command: RunCommand) -> None:
         raise UsageError("what is to be followed? give --target x,y,w,h, or --ground to point at it later")
     if command.ground not in (None, "link"):
         parse_address(command.ground)
+        host = command.ground.partition(":")[2].rpartition(":")[0]
+        is_open = command.ground.startswith("udp") and reach_of(host) is Reach.NETWORK
+        if is_open and command.ground_follows and command.signing_key is None:
+            raise UsageError(
+                f"--ground {command.ground} hears everybody on the network, who must not order FOLLOW: give "
+                "--signing-key, or leave out --ground-follows"
+            )
     if not command.link.startswith("mavsdk+"):
         parse_address(command.link)
     if is_live(command.camera):

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from follow.control.click import box_at
-from follow.messages import NEVER, Frame
+from follow.messages import Frame
 from follow.selection import Choice, Cleared, Selection
 from racf.box import Box
 from racf.track import Track
@@ -43,7 +43,6 @@ class Start:
 
     box: Box
     frame: Frame
-    by: str
 
 
 class Selector:
@@ -68,13 +67,11 @@ class Selector:
         self._init, self._track, self._recent, self._begin = init, track, recent, begin
         self._first = self._box_at_start = box
         self._looks, self._refuse = looks, refuse
-        self._looking: tuple[Future[Box | str], Frame, str] | None = None
+        self._looking: tuple[Future[Box | str], Frame] | None = None
         self._start: Start | None = None
         self._done_t_s: float | None = None  # time of the last frame that was tracked while behind; None: not behind
         self._has_target = False
         self._box = Box(0.0, 0.0, 1.0, 1.0)  # where the target was at `_done_t_s`
-        self.selected_t_s = NEVER
-        self.by = ""
 
     @property
     def has_target(self) -> bool:
@@ -90,14 +87,14 @@ class Selector:
         if isinstance(frame, str):
             return frame
         if choice.is_point and self._looks is not None:
-            self._looking = self._looks.submit(meant, choice, frame.image), frame, choice.by
+            self._looking = self._looks.submit(meant, choice, frame.image), frame
             return ""
-        return self._take(meant(choice, frame.image), frame, choice.by)
+        return self._take(meant(choice, frame.image), frame)
 
-    def _take(self, box: Box | str, frame: Frame, by: str) -> str:
+    def _take(self, box: Box | str, frame: Frame) -> str:
         if isinstance(box, str):
             return box
-        self._start, self._first = Start(box, frame, by), None
+        self._start, self._first = Start(box, frame), None
         return ""
 
     def restart(self) -> None:
@@ -123,8 +120,8 @@ class Selector:
     def update(self, image: Image, prior: Box | None = None) -> Track | None:
         """The track of the newest frame; not found while the tracker catches up, None without a target."""
         if self._looking is not None and self._looking[0].done():
-            (found, frame, by), self._looking = self._looking, None
-            if why := self._take(found.result(), frame, by):
+            (found, frame), self._looking = self._looking, None
+            if why := self._take(found.result(), frame):
                 self._refuse(why)
         if self._first is not None:
             box, self._first, self._has_target = self._first, None, True
@@ -139,7 +136,6 @@ class Selector:
 
     def _caught_up(self, start: Start) -> Track:
         self._start, self._has_target = None, True
-        self.selected_t_s, self.by = self._recent.kept[-1].t_s, start.by
         track = self._init(start.frame.image, start.box)
         if start.frame.index == self._recent.kept[-1].index:
             self._done_t_s = None

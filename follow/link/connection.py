@@ -43,7 +43,7 @@ class MavlinkLink:
         self.client = MavlinkClient(system_id, signing)
         self.unsent = 0  # packets that the transport dropped
         self._unsent_told = (NEVER, 0)  # when it was last reported, and how many by then
-        self.listeners: list[Callable[[Message, float], object]] = []  # hear every message, believed or not
+        self.listeners: list[Callable[[Message, float], object]] = []  # hear what comes from the vehicle's address
         self._transport = transport
         self._tlog = tlog
         self._arrived: SimpleQueue[tuple[float, bytes, Source]] = SimpleQueue()
@@ -108,9 +108,10 @@ class MavlinkLink:
                 for message in found:
                     self._tlog.write(bytes(message.get_msgbuf()), unix_s)
             messages += found
-            for listener in self.listeners:
-                for message in found:
-                    listener(message, t_s)
+            if source == self.client.peer.address:  # never what a stranger on the network sends
+                for listener in self.listeners:
+                    for message in found:
+                        listener(message, t_s)
         self.client.step(time.monotonic())
         self._flush()
         return messages

@@ -1,16 +1,21 @@
 """Consoles: one commands, STOP works from all, a target that nobody drew just now is confirmed, trims are bounded."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from follow.cli.commands import RunCommand
+from follow.cli.run import check
 from follow.messages import HOVER, Decision, Estimate, Frame, Mode, Order, Tick, VehicleState
 from follow.operator.authority import Operator
 from follow.operator.consoles import CONFIRM_S, DRAWN_S, SILENT_S, ConsoleCommand, Consoles
 from follow.operator.told import TEXT_EVERY_S, PilotTexts
 from follow.selection import AS_SET, HOVER_HERE, Cleared, Selection, TrackingState
 from racf.box import Box
+from racf.commandline import UsageError
 from racf.track import Track
 
 BOX = Box(320, 180, 16, 36)
@@ -192,3 +197,11 @@ def test_a_blink_of_the_tracker_is_no_news():
     for k in range(100):
         texts.see(tick(0.05 * k, Mode.COAST if k % 20 < 5 else Mode.FOLLOW))
     assert not any("lost" in text for text, _severity in ears.texts)
+
+
+def test_nobody_on_an_open_network_orders_follow_by_drawing():
+    command = RunCommand(link="udpin:127.0.0.1:1", camera="scene:walker", ground_follows=True)
+    check(replace(command, ground="udpin:127.0.0.1:5"))
+    check(replace(command, ground="udpin:0.0.0.0:5", ground_follows=False))
+    with pytest.raises(UsageError, match="must not order FOLLOW"):
+        check(replace(command, ground="udpin:0.0.0.0:5"))
