@@ -14,6 +14,7 @@ from follow.camera.calibration import fitted, read_calibration
 from follow.control.servo import ServoConfig
 from follow.control.target import TargetConfig
 from follow.geometry import Intrinsics
+from follow.operator.video_out import VideoConfig
 from follow.recording.recorder import RecordConfig
 from follow.safety.limits import Limits
 
@@ -68,6 +69,7 @@ class Config:
     servo: ServoConfig = field(default_factory=ServoConfig)
     limits: Limits = field(default_factory=Limits)
     record: RecordConfig = field(default_factory=RecordConfig)
+    video: VideoConfig = field(default_factory=VideoConfig)
 
 
 class TargetKind(str, Enum):

@@ -16,7 +16,7 @@ MAY_IMPORT = {
     "disk": {"messages"},
     "selection": set(),
     "loop": {"messages", "selection", "camera", "link"},
-    "config": SPOKEN | {"camera", "control", "safety", "recording"},
+    "config": SPOKEN | {"camera", "control", "safety", "recording", "operator"},
     "camera": SPOKEN,
     "link": SPOKEN,
     "control": SPOKEN,

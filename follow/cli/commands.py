@@ -152,6 +152,9 @@ class RunCommand:
     """File of the MAVLink 2 signing key, 32 bytes, readable by its owner only. Default: packets are not signed."""
     ground: str | None = None
     """Ground station: a camera that it can point in. `link`: behind the autopilot; udpin:HOST:PORT also directly."""
+    video_out: str | None = None
+    """Video for the ground: rtp://HOST:5600, or rtsp://SERVER:8554/PATH to push it there; `none`. Default: RTP to port
+    5600 of each ground station that is heard at --ground udpin:HOST:PORT."""
     ground_delay_s: float = 0.3
     """Age of the image that a person at the ground station sees, s."""
     ground_follows: bool = False

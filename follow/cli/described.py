@@ -17,6 +17,8 @@ UNITS = {
     "rad_s": "rad/s",
     "rad_s2": "rad/s²",
     "per_s": "1/s",
+    "bit_s": "bit/s",
+    "hz": "1/s",
     "px": "pixels",
     "deg": "degrees",
     "rad": "rad",

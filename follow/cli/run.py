@@ -22,6 +22,7 @@ from follow.camera.recent import RecentFrames
 from follow.camera.sizes import shrink_for, whole
 from follow.camera.video import open_replay
 from follow.cli.commands import RunCommand, box_in, box_of, lens_of
+from follow.cli.ground import check_ground, ground_sides
 from follow.cli.layers import SCENE, from_scene
 from follow.cli.settings import as_toml, scene_values
 from follow.cli.sim import Referee, believed_camera, scene_camera
@@ -40,14 +41,11 @@ from follow.link import Link
 from follow.link.connection import MavlinkLink, connect
 from follow.link.signing import Signing
 from follow.link.tlog import Tlog
-from follow.link.transports import Reach, open_transport, parse_address, reach_of
+from follow.link.transports import parse_address
 from follow.messages import Autopilot, Notify, Tick
 from follow.operator.authority import Keys, Operator
 from follow.operator.consoles import Consoles
-from follow.operator.ground import DirectSide, GroundSide
-from follow.operator.ground_camera import GroundCamera
 from follow.operator.terminal import Terminal
-from follow.operator.told import PilotTexts
 from follow.recording.exact import Setup
 from follow.recording.folder import claimed
 from follow.recording.recorder import Recorder
@@ -122,15 +120,7 @@ def check(command: RunCommand) -> None:
         box_of(command.target)
     elif not command.camera.startswith(SCENE) and command.ground is None:
         raise UsageError("what is to be followed? give --target x,y,w,h, or --ground to point at it later")
-    if command.ground not in (None, "link"):
-        parse_address(command.ground)
-        host = command.ground.partition(":")[2].rpartition(":")[0]
-        is_open = command.ground.startswith("udp") and reach_of(host) is Reach.NETWORK
-        if is_open and command.ground_follows and command.signing_key is None:
-            raise UsageError(
-                f"--ground {command.ground} hears everybody on the network, who must not order FOLLOW: give "
-                "--signing-key, or leave out --ground-follows"
-            )
+    check_ground(command)
     if not command.link.startswith("mavsdk+"):
         parse_address(command.link)
     if is_live(command.camera):
@@ -306,35 +296,17 @@ def fly_prepared(
         if command.aim:
             operator.aim = tracker.restart
         sees: list[Callable[[Tick], object]] = [lambda tick: recorder.tick(tick, seen.truth(tick))]
+        consoles = Consoles(operator, tracker.choose, report, seen.config.servo.standoff_m, command.ground_follows)
         if command.ground is not None:
-            consoles = Consoles(operator, tracker.choose, report, seen.config.servo.standoff_m, command.ground_follows)
             operator.wanted = lambda: consoles.wanted
-            ground = open_sides.enter_context(ground_side(command, link, seen.lens, consoles))
-            sees += [consoles.see, ground.see]
+            sees.append(consoles.see)
+        sees += open_sides.enter_context(ground_sides(command, link, seen.lens, consoles, report))
 
         def see(tick: Tick) -> None:
             for take in sees:
                 take(tick)
 
         fly(Parts(camera, link, tracker, target, servo, safety, meter), operator, see, command.seconds)
-
-
-@contextlib.contextmanager
-def ground_side(
-    command: RunCommand, link: MavlinkLink, lens: Intrinsics, consoles: Consoles
-) -> Generator[GroundSide, None, None]:
-    """The ground stations of this flight: behind the autopilot, and directly at the address that was given."""
-    signing = link.client.packets.signing
-    direct = DirectSide(open_transport(command.ground), signing) if command.ground not in (None, "link") else None
-    size = lens.width, lens.height
-    camera = GroundCamera(size, consoles.choose, None, command.ground_delay_s, signing)
-    camera.address(link.client.vehicle_id or 1)
-    ground = GroundSide(link, camera, consoles, PilotTexts(link.client), direct)
-    link.listeners.append(ground.hear)
-    try:
-        yield ground
-    finally:
-        ground.close()
 
 
 def height_line(config: Config) -> str:

@@ -4,6 +4,7 @@ Called in the loop's thread; nothing here waits.  At most DATAGRAMS arrive in a 
 flood of them does not delay a setpoint.
 """
 
+from collections.abc import Callable
 from typing import Protocol
 
 from follow.link.identity import Source
@@ -52,6 +53,11 @@ class DirectSide:
         self._heard_t_s = dict(recent[-STATIONS:])
         return messages
 
+    @property
+    def hosts(self) -> tuple[str, ...]:
+        """The addresses of the ground stations that are heard now."""
+        return tuple(sorted({source[0] for source in self._heard_t_s if source is not None}))
+
     def write(self, packets: list[bytes]) -> None:
         """Send packets to every ground station that was heard."""
         for source in self._heard_t_s:
@@ -65,7 +71,10 @@ class DirectSide:
 
 
 class GroundSide:
-    """The camera that ground stations point in, and what the pilot is told; `see` takes each tick."""
+    """The camera that ground stations point in, and what the pilot is told; `see` takes each tick.
+
+    `heard` is called with the addresses of the stations that are heard directly, each round.
+    """
 
     def __init__(
         self,
@@ -74,8 +83,10 @@ class GroundSide:
         consoles: Consoles,
         texts: PilotTexts,
         direct: DirectSide | None = None,
+        heard: Callable[[tuple[str, ...]], object] | None = None,
     ) -> None:
         self._link, self._camera, self._consoles, self._texts, self._direct = link, camera, consoles, texts, direct
+        self._heard = heard
         self._waiting: list[tuple[Message, float]] = []
 
     def hear(self, message: Message, t_s: float) -> None:
@@ -89,6 +100,8 @@ class GroundSide:
         waiting, self._waiting = self._waiting, []
         if self._direct is not None and t_s > NEVER:
             waiting += [(message, t_s) for message in self._direct.receive(t_s)]
+            if self._heard is not None:
+                self._heard(self._direct.hosts)
         for message, heard_t_s in waiting:
             self._camera.hear(message, heard_t_s)
         self._camera.step(t_s, self._consoles.status)

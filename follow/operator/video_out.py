@@ -1,0 +1,196 @@
+"""What the camera sees, sent to the ground station: encoded beside the loop, the newest frame only, never waited for.
+
+The frames go out as they are, because a ground station draws its own box; `video.overlay` draws one for a viewer that
+does not.
+"""
+
+import time
+from collections import deque
+from dataclasses import dataclass
+from functools import partial
+from statistics import median
+from urllib.parse import urlsplit
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from follow.messages import NEVER, Notify, Tick
+from follow.operator.consoles import NOTHING, shown
+from follow.operator.ground_camera import StreamDescription
+from follow.operator.video_stream import Coding, VideoStream, encoder_for
+from follow.ranges import require_numbers
+from follow.recording.video_encoder import Encoder
+from follow.recording.worker import Worker
+from follow.selection import TrackingState, TrackingStatus
+
+PORT = 5600  # QGroundControl's own for RTP over UDP
+CLOSE_S = 2.0  # maximum wait at the end for a server that does not answer
+DELAYS = 60  # frames whose delay is kept: two seconds
+GREEN, AMBER, WHITE = (80, 220, 60), (0, 170, 255), (255, 255, 255)  # BGR
+
+
+@dataclass(frozen=True, slots=True)
+class VideoConfig:
+    """The video that is sent to the ground station.  Raises ValueError for what no stream has."""
+
+    width: int = 640
+    """Width of the stream, pixels, at most the camera's; the height follows by its aspect."""
+    rate_hz: float = 30.0
+    """Highest frame rate, 1/s."""
+    rate_bit_s: int = 2_000_000
+    """Bit rate, bit/s: 2 Mbit/s is what cheap digital radio links carry at their rated distance."""
+    encoder: Encoder = Encoder.AUTO
+    """Encoder: auto (the board's own H.264 encoder if it opens, else libx264), libx264, h264_v4l2m2m, h264_nvenc."""
+    overlay: bool = False
+    """Draw box, state and range into the image. A ground station draws its own box."""
+
+    def __post_init__(self) -> None:
+        require_numbers("video setting", self)
+        if not 160 <= self.width <= 1920:
+            raise ValueError(f"video.width lies in 160..1920 pixels, not {self.width}")
+        if not 1 <= self.rate_hz <= 60:
+            raise ValueError(f"video.rate_hz lies in 1..60, not {self.rate_hz:g}")
+        if not 100_000 <= self.rate_bit_s <= 20_000_000:
+            raise ValueError(f"video.rate_bit_s lies in 100000..20000000, not {self.rate_bit_s}")
+        if self.encoder is Encoder.JPEG:
+            raise ValueError("video.encoder is an H.264 encoder: jpeg is for recordings")
+
+
+@dataclass(frozen=True, slots=True)
+class VideoAddress:
+    """Where the video goes: RTP to `host` and `port` ("": the ground stations that are heard), or RTSP to `url`."""
+
+    host: str = ""
+    port: int = PORT
+    url: str = ""
+
+
+def parse_video(uri: str) -> VideoAddress:
+    """The address that `uri` names: rtp://HOST:PORT, or rtsp://SERVER:PORT/PATH.  Raises ValueError."""
+    form = f"a video address is rtp://HOST:{PORT} or rtsp://SERVER:8554/PATH, not {uri!r}"
+    try:
+        parts = urlsplit(uri)
+        host, port = parts.hostname, parts.port
+    except ValueError:
+        raise ValueError(form) from None
+    if parts.scheme == "rtsp" and host and parts.path.strip("/"):
+        return VideoAddress(url=uri)
+    if parts.scheme != "rtp" or not host or parts.path.strip("/") or port == 0:
+        raise ValueError(form)
+    return VideoAddress(host, PORT if port is None else port)
+
+
+def stream_size(camera: tuple[int, int], width: int) -> tuple[int, int]:
+    """Width and height of the stream, both even, with the camera's aspect and not larger than the camera's."""
+    width = min(width, camera[0]) // 2 * 2
+    return width, max(round(width * camera[1] / camera[0] / 2) * 2, 2)
+
+
+def description_of(
+    address: VideoAddress, config: VideoConfig, camera: tuple[int, int], hfov_deg: float
+) -> StreamDescription:
+    """What a ground station is told of the stream: for RTP the bare port, because that is all that it listens to."""
+    size = stream_size(camera, config.width)
+    uri = address.url or str(address.port)
+    return StreamDescription(uri, not address.url, config.rate_hz, size, config.rate_bit_s, hfov_deg)
+
+
+class VideoOut:
+    """Takes each tick with `see` and sends its frame; `send_to` names the ground stations that are heard now."""
+
+    def __init__(self, address: VideoAddress, config: VideoConfig, report: Notify) -> None:
+        self._address, self._config = address, config
+        self._hosts: tuple[str, ...] = ()
+        self._next_t_s = NEVER
+        self._status = NOTHING
+        self._delays: deque[float] = deque(maxlen=DELAYS)
+        coding = Coding(encoder_for(config.encoder), config.rate_hz, config.rate_bit_s)
+        self._worker = Worker("the video", lambda: VideoStream(coding, address.url, report), report, 1, waits=False)
+        self.send_to((address.host,) if address.host else ())
+
+    @property
+    def delay_s(self) -> float:
+        """Median time from the taking of a frame to its sending; NaN before the first."""
+        delays = list(self._delays)
+        return median(delays) if delays else float("nan")
+
+    @property
+    def dropped(self) -> int:
+        """Number of frames that gave way to a newer one."""
+        return self._worker.dropped
+
+    def send_to(self, hosts: tuple[str, ...]) -> None:
+        """Send to these hosts from now on, if the address does not name one."""
+        if hosts != self._hosts and not self._address.url:
+            self._hosts = hosts
+            addresses = tuple((host, self._address.port) for host in hosts)
+            self._worker.put(lambda stream: stream.send_to(addresses))
+
+    def hear_stations(self, hosts: tuple[str, ...]) -> None:
+        """The ground stations that are heard: they get the video unless the address names another host."""
+        if not self._address.host:
+            self.send_to(hosts)
+
+    def see(self, tick: Tick) -> None:
+        """Take one round; its frame replaces one that still waits."""
+        self._status = shown(tick, self._status)
+        frame = tick.frame
+        if frame is None or not (self._hosts or self._address.url) or frame.t_s < self._next_t_s:
+            return
+        every_s = 1.0 / self._config.rate_hz
+        late_s = frame.t_s - self._next_t_s
+        self._next_t_s = self._next_t_s + every_s if late_s < every_s else frame.t_s + 0.9 * every_s
+        about = overlay(tick, self._status) if self._config.overlay else None
+        self._worker.put(nothing, partial(self._send, image=frame.image, t_s=frame.t_s, about=about))
+
+    def _send(self, stream: VideoStream, image: NDArray[np.uint8], t_s: float, about: "Overlay | None") -> None:
+        size = stream_size((image.shape[1], image.shape[0]), self._config.width)
+        if size != (image.shape[1], image.shape[0]):
+            image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+        if about is not None:
+            image = drawn(image, about)
+        if stream.show(image, t_s):
+            self._delays.append(time.monotonic() - t_s)
+
+    def close(self) -> None:
+        """End the stream."""
+        self._worker.close(CLOSE_S)
+
+
+def nothing(_stream: VideoStream) -> None:
+    """Do nothing: the frame is the heavy part."""
+
+
+@dataclass(frozen=True, slots=True)
+class Overlay:
+    """What is drawn into a frame: the box in shares of the image, and words."""
+
+    status: TrackingStatus
+    words: str
+
+
+def overlay(tick: Tick, status: TrackingStatus) -> Overlay:
+    """The box, the gate's mode, and the range and height over the target while it is seen."""
+    seen, words = tick.estimate, tick.decision.mode.value
+    if status.state is not TrackingState.IDLE and seen.seen_t_s > NEVER:
+        words = f"{words}  {seen.range_m:.0f} m"
+    return Overlay(status, words)
+
+
+def drawn(image: NDArray[np.uint8], about: Overlay) -> NDArray[np.uint8]:
+    """A copy of the image with the overlay: the box is green while the target is found, else amber."""
+    image = np.ascontiguousarray(image).copy()
+    rows, columns = image.shape[:2]
+    scale = columns / 640
+    thick = max(round(2 * scale), 1)
+    if about.status.box is not None:
+        left, top, width, height = about.status.box
+        corner = round(left * columns), round(top * rows)
+        opposite = round((left + width) * columns), round((top + height) * rows)
+        colour = GREEN if about.status.state is TrackingState.ACTIVE else AMBER
+        cv2.rectangle(image, corner, opposite, colour, thick)
+    place = round(8 * scale), rows - round(10 * scale)
+    for colour, width_px in ((0, 0, 0), 3 * thick), (WHITE, thick):
+        cv2.putText(image, about.words, place, cv2.FONT_HERSHEY_SIMPLEX, 0.6 * scale, colour, width_px, cv2.LINE_AA)
+    return image

@@ -1,0 +1,195 @@
+"""An H.264 stream to ground stations: RTP over UDP [RFC 6184], or RTSP pushed to a server.  For one thread of its own.
+
+Each slice fits into one packet, so that a lost packet costs a strip of one frame; key frames with the stream's
+parameters come every `KEY_S`, so that nothing lost is seen for longer.  Payload type 96 and a clock of 90 kHz, as
+QGroundControl expects them.
+"""
+
+import os
+import socket
+import time
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import av
+import av.error
+import numpy as np
+from av.bitstream import BitStreamFilterContext
+from av.video.frame import PictureType, VideoFrame
+from numpy.typing import NDArray
+
+from follow.messages import NEVER, Notify
+from follow.operator.rtsp import RtspPush
+from follow.recording.video_encoder import BOARDS, Encoder, even
+
+CLOCK_HZ = 90_000  # RTP clock of video [RFC 6184, section 8.2.1]
+KEY_S = 0.5  # half of a second, the longest that a loss may be seen: part of a key frame may be lost also
+PACKET_BYTES, SLICE_BYTES = 1300, 1200  # an Ethernet frame less the headers of IP, UDP, a VPN and radio links
+BUFFER_S = 0.25  # the encoder keeps the bit rate over this time: a key frame must not fill a radio link
+RETRY_S = 2.0  # between two attempts to open a stream
+
+BOARD_OPTIONS = {Encoder.NVENC.value: {"preset": "p1", "tune": "ull", "zerolatency": "1", "delay": "0"}}
+"""Options for no delay, by encoder: FFmpeg's documentation of nvenc."""
+
+
+@dataclass(frozen=True, slots=True)
+class Coding:
+    """How frames are coded: `encoder` is never AUTO or JPEG; `rate_hz` is the highest rate."""
+
+    encoder: str
+    rate_hz: float
+    bit_s: int
+
+
+class Fanout:
+    """Takes what FFmpeg writes, one RTP packet at a time, and sends it to every address without waiting."""
+
+    def __init__(self) -> None:
+        self.addresses: tuple[tuple[str, int], ...] = ()
+        self.dropped = 0
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+
+    def write(self, packet: bytes) -> int:
+        """Send one packet; what the network does not take at once is dropped and counted."""
+        for address in self.addresses:
+            try:
+                self._socket.sendto(packet, address)
+            except OSError:  # send buffer full, no route yet: the next frame counts
+                self.dropped += 1
+        return len(packet)
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+
+class VideoStream:
+    """Encodes images and sends them to `url`: rtsp://..., or empty for RTP to the addresses of `send_to`.
+
+    A stream that breaks is opened again every RETRY_S and reported once.
+    """
+
+    def __init__(self, coding: Coding, url: str, report: Notify) -> None:
+        self._coding, self._url, self._report = coding, url, report
+        self._fanout, self._push = Fanout(), RtspPush(url) if url else None
+        self._size = (0, 0)
+        self._container: Any = None
+        self._stream: Any = None
+        self._parameters: Any = None
+        self._key_t_s = NEVER
+        self._broken_t_s = NEVER
+        self._trouble = ""
+
+    def send_to(self, addresses: tuple[tuple[str, int], ...]) -> None:
+        """Send RTP to these hosts and ports; a new one gets a key frame at once."""
+        known: list[tuple[str, int]] = []
+        for host, port in addresses:
+            try:
+                known.append((socket.gethostbyname(host), port))
+            except OSError as error:
+                self._say(f"video: the address of {host} is not known: {error.strerror}")
+        if set(known) - set(self._fanout.addresses):
+            self._key_t_s = NEVER
+        self._fanout.addresses = tuple(known)
+
+    def show(self, image: NDArray[np.uint8], t_s: float) -> bool:
+        """Encode and send an image, (rows, columns, 3) BGR or (rows, columns) grey, taken at `t_s`; whether it went."""
+        if not (self._push or self._fanout.addresses) or time.monotonic() - self._broken_t_s < RETRY_S:
+            return False
+        image = even(image)
+        size = image.shape[1], image.shape[0]
+        try:
+            if self._push is not None and not self._push.is_open:
+                self._push.open()
+                self._key_t_s = NEVER
+            container = self._container if size == self._size else self._open(size)
+            for packet in self._stream.encode(self._frame(image, t_s)):
+                for whole in self._parameters.filter(packet):
+                    container.mux(whole)
+        except (av.error.FFmpegError, OSError, ValueError) as error:
+            self._broken_t_s = time.monotonic()
+            self._end()
+            self._say(f"video to {self._url or 'the ground station'} broke: {error}; trying again")
+            return False
+        self._trouble = ""
+        return True
+
+    def close(self) -> None:
+        """End the stream."""
+        self._end()
+        self._fanout.close()
+
+    def _frame(self, image: NDArray[np.uint8], t_s: float) -> VideoFrame:
+        frame = VideoFrame.from_ndarray(image, format="gray" if image.ndim == 2 else "bgr24")
+        frame = frame.reformat(format="yuv420p")
+        frame.pts, frame.time_base = round(t_s * CLOCK_HZ), Fraction(1, CLOCK_HZ)
+        if not 0.0 <= t_s - self._key_t_s < KEY_S:
+            frame.pict_type = PictureType.I
+            self._key_t_s = t_s
+        return frame
+
+    def _open(self, size: tuple[int, int]) -> Any:
+        """Begin a stream for images of this size."""
+        options = {"packetsize": str(PACKET_BYTES), "rtpflags": "skip_rtcp"}
+        container: Any = av.open(self._push or self._fanout, "w", format="rtp", options=options)
+        self._stream = add_h264(container, self._coding, size)
+        container.start_encoding()  # opens the encoder, which then tells its parameters
+        self._parameters = BitStreamFilterContext("dump_extra", self._stream)
+        self._container, self._size, self._key_t_s = container, size, NEVER
+        return container
+
+    def _end(self) -> None:
+        self._container, self._size = None, (0, 0)  # RTP has no end that would have to be written
+        if self._push is not None:
+            self._push.close()
+
+    def _say(self, trouble: str) -> None:
+        if trouble != self._trouble:
+            self._trouble = trouble
+            self._report(trouble)
+
+
+def add_h264(container: Any, coding: Coding, size: tuple[int, int]) -> Any:
+    """The container's stream of H.264 for images of this size.  Raises FFmpegError."""
+    rate = round(coding.rate_hz)
+    stream = container.add_stream(coding.encoder, rate=rate)
+    codec = stream.codec_context
+    codec.width, codec.height = size
+    codec.pix_fmt = "yuv420p"
+    codec.time_base = stream.time_base = Fraction(1, CLOCK_HZ)
+    codec.bit_rate = coding.bit_s
+    codec.max_b_frames = 0
+    codec.gop_size = max(round(KEY_S * rate), 1)
+    if coding.encoder == Encoder.LIBX264.value:
+        codec.thread_count = 1  # the other cores are the tracker's
+        kbit = coding.bit_s // 1000
+        buffer = f"vbv-maxrate={kbit}:vbv-bufsize={max(round(kbit * BUFFER_S), 1)}"
+        codec.options = {
+            "preset": "ultrafast",
+            "tune": "zerolatency",
+            "forced-idr": "1",
+            "x264-params": f"repeat-headers=1:scenecut=0:slice-max-size={SLICE_BYTES}:{buffer}",
+        }
+    else:
+        codec.options = {**BOARD_OPTIONS.get(coding.encoder, {}), "forced-idr": "1"}
+    return stream
+
+
+def encoder_for(kind: Encoder) -> str:
+    """The encoder's name in FFmpeg; AUTO: the first of BOARDS that gives a packet for a grey image, else libx264."""
+    if kind is not Encoder.AUTO:
+        return kind.value
+    return next((board.value for board in BOARDS if works(board.value)), Encoder.LIBX264.value)
+
+
+def works(encoder: str) -> bool:
+    """Whether this machine has the encoder: it gives a packet for a grey image."""
+    try:
+        with av.open(os.devnull, "w", format="h264") as container:
+            stream = add_h264(container, Coding(encoder, 30.0, 1_000_000), (640, 360))
+            frame = VideoFrame.from_ndarray(np.full((360, 640), 128, np.uint8), format="gray")
+            return bool(stream.encode(frame.reformat(format="yuv420p")) + stream.encode(None))
+    except (av.error.FFmpegError, OSError, ValueError):
+        return False
