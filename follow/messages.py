@@ -172,7 +172,8 @@ class Estimate:
 
     `seen_t_s` is the time of the last frame in which the target was found; `seen_range_m` and `seen_azimuth_rad` lead
     from the vehicle's present position and heading to where the target stood then.  `contradiction` says in words
-    which measurements disagree beyond their uncertainty; it is empty while they agree.
+    which measurements disagree beyond their uncertainty; it is empty while they agree.  `doubt` says in words who was
+    found after a loss and is not taken for the target; it is empty if there is nobody.
     """
 
     t_s: float
@@ -193,6 +194,7 @@ class Estimate:
     seen_range_m: float = math.inf
     seen_azimuth_rad: float = 0.0
     contradiction: str = ""
+    doubt: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -159,6 +159,8 @@ class RunCommand:
     """Age of the image that a person at the ground station sees, s."""
     ground_follows: bool = False
     """A box drawn at the ground station orders FOLLOW at once. Default: it is tracked, and FOLLOW is ordered apart."""
+    ground_unsigned: bool = False
+    """Let everybody on the network choose the target at --ground udpin:HOST:PORT. Default: only with --signing-key."""
     seconds: float = 0.0
     """End after this time, s. 0: fly until stopped."""
     seed: int = 0

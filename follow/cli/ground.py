@@ -27,10 +27,10 @@ def check_ground(command: RunCommand) -> None:
         parse_address(command.ground)
         host = command.ground.partition(":")[2].rpartition(":")[0]
         is_open = command.ground.startswith("udp") and reach_of(host) is Reach.NETWORK
-        if is_open and command.ground_follows and command.signing_key is None:
+        if is_open and command.signing_key is None and (command.ground_follows or not command.ground_unsigned):
             raise UsageError(
-                f"--ground {command.ground} hears everybody on the network, who must not order FOLLOW: give "
-                "--signing-key, or leave out --ground-follows"
+                f"--ground {command.ground} hears everybody on the network, who must not choose the target or order "
+                "FOLLOW: give --signing-key (or --ground-unsigned, which allows the choice but not --ground-follows)"
             )
     video_address(command)
 

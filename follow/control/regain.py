@@ -1,6 +1,12 @@
-"""A target that was lost: where to look for it, and how far from its way a box found again lies."""
+"""A target that was lost: where to look for it, and whether somebody who is found can be it.
+
+A candidate is the target only where the target can be.  The places that are as likely as the candidate's, and those
+that are likelier, cover an area: within the distance r of the path from the last place seen to the predicted one, of
+length l, that is 2 r l + pi r^2.  The larger it is, the more probably somebody else stands in it.
+"""
 
 import math
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -40,3 +46,115 @@ def distance_to_segment(point: Array, start: Array, end: Array) -> float:
     length2 = float(along @ along)
     fraction = min(max(float((point - start) @ along) / length2, 0.0), 1.0) if length2 > 0 else 0.0
     return float(np.linalg.norm(point - start - fraction * along))
+
+
+WALK_M_S, WALK_S = 1.5, 3.0
+"""Speed of somebody else who was found where the target could not be, and how long he is expected to walk unseen."""
+
+OTHERS = 16
+"""Number of other people remembered, those found last."""
+
+NOT_TAKEN = "not taken: another person, select again"
+"""What the operator is told of a candidate that cannot be the target."""
+
+SAID_S = 3.0
+"""The operator is told so for this long after the candidate was found last."""
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A box found after a loss: the place (2,), north and east, that direction and size give it, and its deviation."""
+
+    t_s: float
+    place: Array
+    std_m: float
+
+    def may_be(self, later: "Candidate") -> bool:
+        """Whether a later box may show the same person."""
+        walked_m = WALK_M_S * min(max(later.t_s - self.t_s, 0.0), WALK_S)
+        return float(np.linalg.norm(later.place - self.place)) <= 2 * max(self.std_m, later.std_m) + walked_m
+
+
+@dataclass(frozen=True, slots=True)
+class PathDistance:
+    """Where a candidate stands against where the target can be.
+
+    `aside_m` is its distance from the path, less its own deviation; `path_m` the path's length.  `is_near` says that
+    distance and height are within the filter's own uncertainty.
+    """
+
+    aside_m: float
+    path_m: float
+    is_near: bool
+
+    @property
+    def area_m2(self) -> float:
+        """Area of the places that are at least as likely."""
+        return 2 * self.aside_m * self.path_m + math.pi * self.aside_m**2
+
+
+@dataclass(slots=True)
+class OtherPerson:
+    """Somebody found where the target could not be: where and when last, and the number of frames that showed it."""
+
+    last: Candidate
+    frames: int = 1
+
+
+@dataclass(slots=True)
+class Regain:
+    """What was found since the target was lost: the candidate on trial, and those who are somebody else.
+
+    Who once stood where the target could not be stays somebody else, also when the target may have come there by now.
+    `frames` is the number of consecutive frames that showed the candidate on trial.
+    """
+
+    frames: int = 0
+    begun: Candidate | None = None
+    last: Candidate | None = None
+    others: list[OtherPerson] = field(default_factory=list[OtherPerson])
+    told: str = ""
+    told_t_s: float = -math.inf
+
+    def miss(self) -> None:
+        """A frame without a candidate: the trial is over."""
+        self.frames = 0
+
+    def shift(self, jump_ned: Array) -> None:
+        """Move what is remembered with the vehicle's own position estimate, which jumped by (3,) metres."""
+        for other in self.others:
+            other.last = replace(other.last, place=other.last.place + jump_ned[:2])
+        if self.last is not None:
+            self.last = replace(self.last, place=self.last.place + jump_ned[:2])
+
+    def doubt(self, t_s: float) -> str:
+        """Who was found and is not taken, in words; empty if there is nobody."""
+        return self.told if 0.0 <= t_s - self.told_t_s <= SAID_S else ""
+
+    def admits(self, found: Candidate, distance: PathDistance, area_m2: float, confirm: int) -> bool:
+        """Whether the candidate can be the target; if so the trial goes on, or begins with it."""
+        other = next((other for other in self.others if other.last.may_be(found)), None)
+        is_other = other is not None and other.frames >= confirm
+        if is_other or distance.area_m2 > area_m2:
+            self.miss()
+            if other is None:
+                self.others = [*self.others[1 - OTHERS :], OtherPerson(found)]
+                return False
+            other.last, other.frames = found, other.frames + 1
+            if other.frames >= confirm:
+                self.told, self.told_t_s = f"{NOT_TAKEN} ({distance.aside_m:.0f} m from the target's path)", found.t_s
+            return False
+        if not distance.is_near:
+            self.miss()
+            return False
+        if self.frames == 0 or self.last is None or not self.last.may_be(found):
+            self.frames, self.begun = 0, found
+        self.frames, self.last = self.frames + 1, found
+        return True
+
+    def confirmed(self, t_s: float, lost_t_s: float, confirm: int, fraction: float) -> bool:
+        """Whether the candidate was right in enough consecutive frames, for a fraction of the time since the loss."""
+        if self.begun is None:
+            return False
+        asked_s = fraction * (self.begun.t_s - lost_t_s)
+        return self.frames >= confirm and t_s - self.begun.t_s >= asked_s - 1e-9

@@ -25,7 +25,7 @@ from follow.control.joint_filter import (
     with_size,
 )
 from follow.control.pose_history import Pose, PoseHistory
-from follow.control.regain import distance_to_segment, looked_for
+from follow.control.regain import Candidate, PathDistance, Regain, distance_to_segment, looked_for
 from follow.geometry import Array, Intrinsics, camera_to_ned, project, rays, undistort, wrap
 from follow.messages import NEVER, Estimate, ImageMotion, VehicleState
 from follow.ranges import require_numbers
@@ -63,7 +63,7 @@ class TargetConfig:
     confirm: int = 3  # Number of consecutive frames that confirm a target.
     confirm_fraction: float = 0.05  # Fraction of the time unseen over which frames must confirm a target.
     regain_sigmas: float = 3.0  # Largest distance of a target found again, in standard deviations.
-    regain_m: float = 10.0  # Largest distance of a target found again from where it may have gone.
+    regain_area_m2: float = 100.0  # Largest area of likelier places: one person in 400 m², 0.4 of them alike, is 10 %.
     # Ratios of PSR to the target's running mean, measured on ten real sequences (docs/confidence.md):
     psr_ratio_lost: float = 0.6  # Ratio of PSR to its mean, below which a box is rejected: 3 % on target, 97 % off.
     psr_ratio_regained: float = 0.7  # The same ratio while a target must be confirmed: 5 % on target, 99 % off.
@@ -108,8 +108,7 @@ class Target:
     aspect: float = 1.0  # height over width of the first box, the lens undone
     seen_t_s: float = NEVER
     seen_ned: Array = field(default_factory=lambda: np.zeros(3))
-    on_trial_since_s: float = NEVER
-    proofs: int = 0
+    regain: Regain = field(default_factory=Regain)
     accepted: int = 0
     usual_psr: float = 0.0
     asked_t_s: float = NEVER
@@ -126,7 +125,7 @@ class Target:
         """Forget the target; the next box starts a new one."""
         self.filter, self.box, self.seen_t_s, self.asked_t_s = None, None, NEVER, NEVER
         self.sources = GroundSources()
-        self.proofs, self.accepted, self.usual_psr = 0, 0, 0.0
+        self.regain, self.accepted, self.usual_psr = Regain(), 0, 0.0
         self.waiting.clear()
 
     def predict(self, state: VehicleState, t_s: float) -> Box | None:
@@ -135,7 +134,7 @@ class Target:
         None also while a found target is not yet confirmed: the tracker must stay on it.
         """
         self.observe(state)
-        if self.filter is None or self.box is None or self.proofs > 0:
+        if self.filter is None or self.box is None or self.regain.frames > 0:
             return None
         pose = self.pose(state, t_s)
         f = self.carried(t_s)
@@ -168,7 +167,7 @@ class Target:
         while self.waiting and self.readable(self.waiting[0][0], state):
             t_s, track = self.waiting.popleft()
             if not (track.found and self.accept(track, t_s, self.pose(state, t_s))):
-                self.proofs = 0
+                self.regain.miss()
             self.ask_ground(state, t_s)
         return self.estimate(state)
 
@@ -179,6 +178,7 @@ class Target:
             self.motion.shift(jump)
             self.sources.reset()
             self.seen_ned = self.seen_ned + jump
+            self.regain.shift(jump)
             if self.filter is not None:
                 self.filter = moved(self.filter, jump)
         self.motion.add(state)
@@ -207,10 +207,11 @@ class Target:
         else:
             f = self.carried(t_s)
             lost = t_s - self.seen_t_s > c.lost_after_s
-            fits = self.reachable(f, sight, pose) if lost else self.plausible(f, sight, pose, self.noise(box))
-            if not fits or not self.sharp(track, lost=lost):
+            if not self.sharp(track, lost=lost):
                 return False
-            if lost and not self.confirmed(t_s):
+            if not (self.is_admitted(f, sight, pose) if lost else self.plausible(f, sight, pose, self.noise(box))):
+                return False
+            if lost and not self.regain.confirmed(t_s, self.seen_t_s, c.confirm, c.confirm_fraction):
                 return True
             if not self.plausible(f, sight, pose, self.noise(box)):
                 f = self.start(sight, t_s, pose, f)
@@ -219,7 +220,7 @@ class Target:
             self.accepted += 1
             self.usual_psr += max(c.psr_rate, 1.0 / self.accepted) * (track.psr - self.usual_psr)
         assert self.filter is not None
-        self.box, self.seen_t_s, self.proofs = box, t_s, 0
+        self.box, self.seen_t_s, self.regain = box, t_s, Regain()
         self.seen_ned = self.filter.mean[:3].copy()
         return True
 
@@ -256,23 +257,14 @@ class Target:
         least = c.psr_ratio_regained if lost else c.psr_ratio_lost
         return track.psr >= least * min(self.usual_psr, c.psr_cap)
 
-    def confirmed(self, t_s: float) -> bool:
-        """Whether a lost target was right in enough consecutive frames, this one included."""
-        c = self.config
-        if self.proofs == 0:
-            self.on_trial_since_s = t_s
-        self.proofs += 1
-        asked_s = c.confirm_fraction * (self.on_trial_since_s - self.seen_t_s)
-        return self.proofs >= c.confirm and t_s - self.on_trial_since_s >= asked_s - 1e-9
-
     def plausible(self, f: JointFilter, sight: Sight, pose: Pose, noise: Array) -> bool:
         """Whether a box lies within the gate about the prediction, in direction and in size."""
         c = self.config
         found = innovation(f, pose.position_ned, sight, c.gate_noise * noise)
         return abs(found.residual[2]) <= math.log(c.gate_size) and found.distance2 <= c.gate_sigmas**2
 
-    def reachable(self, f: JointFilter, sight: Sight, pose: Pose) -> bool:
-        """Whether a box after a loss is where the lost target may be, which went on, or stayed where it was seen last.
+    def is_admitted(self, f: JointFilter, sight: Sight, pose: Pose) -> bool:
+        """Whether a box after a loss may be the lost target, which went on, or stayed where it was seen last.
 
         By direction and size the box has a position; it must lie near the path from the last position seen to the
         predicted one, and as high as the ground there can be.
@@ -282,13 +274,14 @@ class Target:
         place = pose.position_ned + range_m * sight.toward
         own_m = range_m * math.hypot(m.size_bias_std, c.box_relative_std)
         level = float(np.linalg.eigvalsh(f.covariance[:2, :2])[-1])
-        allowed = min(c.regain_sigmas * math.sqrt(level + own_m**2), c.regain_m)
-        if distance_to_segment(place[:2], self.seen_ned[:2], f.mean[:2]) > allowed:
-            return False
-        way_m = float(np.linalg.norm(place[:2] - self.seen_ned[:2]))
-        return abs(place[2] - self.seen_ned[2]) <= c.regain_sigmas * math.hypot(
-            m.slope_std * way_m, own_m, c.ground.start_std_m
-        )
+        aside_m = distance_to_segment(place[:2], self.seen_ned[:2], f.mean[:2])
+        gone_m = float(np.linalg.norm(place[:2] - self.seen_ned[:2]))
+        rise_std_m = math.hypot(m.slope_std * gone_m, own_m, c.ground.start_std_m)
+        near = aside_m <= c.regain_sigmas * math.sqrt(level + own_m**2)
+        near = near and abs(place[2] - self.seen_ned[2]) <= c.regain_sigmas * rise_std_m
+        path_m = float(np.linalg.norm(f.mean[:2] - self.seen_ned[:2]))
+        distance = PathDistance(max(aside_m - own_m, 0.0), path_m, near)
+        return self.regain.admits(Candidate(f.t_s, place[:2], own_m), distance, c.regain_area_m2, c.confirm)
 
     def sight(self, box: Box, pose: Pose) -> Sight:
         """A box as a measurement: the lens undone, in NED."""
@@ -341,7 +334,8 @@ class Target:
             return Estimate(state.t_s, 0.0, self.down_rad - state.pitch_rad, FAR_M, FAR_M)
         pose = self.motion.at(state.t_s)
         f = self.carried(state.t_s) if self.config.compensate else self.filter
-        return seen_from(f, pose, self.middle, self.seen_t_s, self.seen_ned, self.config, self.sources)
+        seen = seen_from(f, pose, self.middle, self.seen_t_s, self.seen_ned, self.config, self.sources)
+        return replace(seen, doubt=self.regain.doubt(state.t_s))
 
 
 def seen_from(

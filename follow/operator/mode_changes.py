@@ -18,6 +18,7 @@ class ModeChanges:
     streamed: bool = False  # whether FOLLOW has begun
     ended: str = ""  # when the last stream of setpoints ended, and why; empty while one is sent, or before the first
     tiny_told: bool = False
+    doubt: str = ""  # who was found after a loss and is not taken, as it was told last
 
     def see(self, tick: Tick) -> None:
         """Take one round."""
@@ -29,6 +30,9 @@ class ModeChanges:
         if not self.tiny_told and tick.track is not None and tick.track.found and (line := tiny_line(tick.track.box)):
             self.tiny_told = True
             self.report(f"{at_s:.1f} s: {line}")
+        doubt, self.doubt = self.doubt, tick.estimate.doubt.split(" (")[0]
+        if self.doubt and self.doubt != doubt:
+            self.report(f"{at_s:.1f} s: {tick.estimate.doubt}")
         if (self.mode, self.reason) == before:
             return
         self.report(f"{at_s:.1f} s: {self.mode.value} ({self.reason}), vehicle in {tick.state.mode or 'no known mode'}")

@@ -82,6 +82,8 @@ class PilotTexts:
         for note in decision.notes:
             if note.startswith("slower:") and decision.mode is Mode.FOLLOW and self.is_news(note, t_s):
                 self.say(note.replace("limits.", ""))
+            if note.startswith("not taken:") and self.is_news(text := note.split(" (")[0], t_s):
+                self.say(text, warns=True)
         self.send(t_s)
         if t_s - self.values_t_s >= VALUES_EVERY_S and tick.estimate.seen_t_s > NEVER:
             self.values_t_s = t_s

@@ -37,8 +37,8 @@ from follow.safety.response import Response, disobeying, watched
 class Gate:
     """The gate's memory between rounds.  Velocities are NED; places are north and east, None until they are known.
 
-    The fence is centred on home or, if
-    that is unknown, where the first stream began.
+    The fence is centred on home or, if that is unknown, where the first stream began.  `aimed_t_s` is when a person
+    chose the target last.
     """
 
     authority: Authority = field(default_factory=Authority)
@@ -49,6 +49,7 @@ class Gate:
     fence_centre: tuple[float, float] | None = None
     last_seen: Sighting | None = None
     resets: int = 0
+    aimed_t_s: float = NEVER
     response: Response = field(default_factory=Response)
     reach: TargetReach = field(default_factory=TargetReach)
 
@@ -135,11 +136,13 @@ def decide(
     is_fresh = not old and math.isfinite(unseen_s)
     target = worst(estimate, state, limits) if is_fresh else UNKNOWN
     gate = remembered(gate, target, estimate, state, dt, is_fresh)
+    gate = replace(gate, aimed_t_s=t_s) if instruction.aimed else gate
     authority = judged(gate.authority, facts(gate, target, state, old, unseen_s, instruction, limits), limits)
     if authority.mode in STREAMING and not math.isfinite(state.yaw_rad):
         # Without a heading no NED velocity can be turned into body axes, not even the ramp to zero.
         authority = replace(authority, mode=Mode.ENDED, reason=Reason(Cause.NO_HEADING), order=None)
-    notes = old if desired.is_finite() else (*old, "the desired setpoint is not finite")
+    notes = (*old, estimate.doubt) if estimate.doubt else old
+    notes = notes if desired.is_finite() else (*notes, "the desired setpoint is not finite")
     if authority.mode in STREAMING and gate.mode not in STREAMING:
         gate, dt = start_ramps(gate, target, state, limits), 0.0
     elif authority.mode is not gate.mode and authority.reason.cause is Cause.NOT_OBEYING and is_fresh:
@@ -176,7 +179,9 @@ def facts(
         near = f"the target may be nearer than {limits.min_standoff_m:g} m"
         found = (*found, Hindrance(near, passing=True))
     beyond, over = gate.reach.told, given_up(gate.reach, state, limits)
-    return Facts(state, old, unseen_s, found, stopping, beyond, over, speed(gate) < STILL_M_S, instruction)
+    # A target that was just chosen is looked for as long as one that was lost.
+    waited_s = unseen_s if math.isfinite(unseen_s) else state.t_s - gate.aimed_t_s
+    return Facts(state, old, waited_s, found, stopping, beyond, over, speed(gate) < STILL_M_S, instruction)
 
 
 def remembered(gate: Gate, target: Worst, estimate: Estimate, state: VehicleState, dt_s: float, is_fresh: bool) -> Gate:

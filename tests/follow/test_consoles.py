@@ -199,9 +199,10 @@ def test_a_blink_of_the_tracker_is_no_news():
     assert not any("lost" in text for text, _severity in ears.texts)
 
 
-def test_nobody_on_an_open_network_orders_follow_by_drawing():
+def test_nobody_on_an_open_network_chooses_a_target_unless_allowed_or_orders_follow_by_drawing():
     command = RunCommand(link="udpin:127.0.0.1:1", camera="scene:walker", ground_follows=True)
     check(replace(command, ground="udpin:127.0.0.1:5"))
-    check(replace(command, ground="udpin:0.0.0.0:5", ground_follows=False))
-    with pytest.raises(UsageError, match="must not order FOLLOW"):
-        check(replace(command, ground="udpin:0.0.0.0:5"))
+    check(replace(command, ground="udpin:0.0.0.0:5", ground_follows=False, ground_unsigned=True))
+    for follows, unsigned in ((False, False), (True, False), (True, True)):
+        with pytest.raises(UsageError, match="must not choose the target or order FOLLOW"):
+            check(replace(command, ground="udpin:0.0.0.0:5", ground_follows=follows, ground_unsigned=unsigned))

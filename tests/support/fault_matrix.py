@@ -2,9 +2,18 @@
 
 from tests.support.fault_processes import PROCESS_ROWS
 from tests.support.fault_rows import ROWS, Row
+from tests.support.fault_rows_camera import CAMERA_ROWS, OTHER_PERSON_ROWS
 from tests.support.fault_rows_image import IMAGE_ROWS
 from tests.support.fault_rows_motion import MOTION_ROWS
 from tests.support.fault_rows_people import AUTHORITY_ROWS, DISTANCE_ROWS
 
-LOCKSTEP_ROWS: tuple[Row, ...] = (*ROWS, *AUTHORITY_ROWS, *DISTANCE_ROWS, *MOTION_ROWS, *IMAGE_ROWS)
+LOCKSTEP_ROWS: tuple[Row, ...] = (
+    *ROWS,
+    *AUTHORITY_ROWS,
+    *DISTANCE_ROWS,
+    *MOTION_ROWS,
+    *IMAGE_ROWS,
+    *CAMERA_ROWS,
+    *OTHER_PERSON_ROWS,
+)
 NAMES = tuple(row.name for row in (*LOCKSTEP_ROWS, *PROCESS_ROWS))

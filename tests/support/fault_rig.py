@@ -73,9 +73,13 @@ class Rig:
     path: Callable[[float], tuple[float, float]] | None = None  # of the target: time -> north, east
     servo: ServoConfig = field(default_factory=ServoConfig)
     down_rad: float = DOWN_RAD
+    lens: Intrinsics = LENS  # the true one; the application believes in LENS
+    true_down_rad: float | None = None  # None: as believed
+    is_upside_down: bool = False
     height_m: float = HEIGHT_M
     ground: Callable[[float, float], float] = lambda _north, _east: 0.0  # metres down at a place
     view: bool = False
+    seed: int = 0  # of the vehicle: which sample of its response, and its wandering
     at_once: bool = True
     t_s: float = 0.0
     jump_s: float = 0.0  # of the application's clock
@@ -92,7 +96,8 @@ class Rig:
 
     def __post_init__(self) -> None:
         start = VehicleTruth(down_m=-self.height_m)
-        self.system = AutopilotSystem(self.autopilot, Vehicle(self.autopilot, start))
+        self.true_down_rad = self.down_rad if self.true_down_rad is None else self.true_down_rad
+        self.system = AutopilotSystem(self.autopilot, Vehicle(self.autopilot, start, seed=self.seed))
         self.system.flight.parameters.update(PARAMETERS[self.autopilot])
         self.client = MavlinkClient()
         self.operator = Operator(self.lines.append, at_once=self.at_once, heard=self.client.heard)
@@ -123,13 +128,15 @@ class Rig:
     def true_box(self) -> Box | None:
         m = self.motion
         north, east = self.target_place(self.t_s)
-        rotation = camera_to_ned(self.down_rad, m.roll_rad, m.pitch_rad, m.yaw_rad)
+        rotation = camera_to_ned(self.true_down_rad or 0.0, m.roll_rad, m.pitch_rad, m.yaw_rad)
         middle = [[north, east, self.ground(north, east) - SIZE_M[1] / 2]]
-        pixels, depth = project(LENS, rotation, (m.north_m, m.east_m, m.down_m), middle)
+        pixels, depth = project(self.lens, rotation, (m.north_m, m.east_m, m.down_m), middle)
         x, y = pixels[0]
         if depth[0] < 0.5 or not (0 < x < LENS.width and 0 < y < LENS.height):
             return None
-        scale = LENS.fx / depth[0]
+        if self.is_upside_down:
+            x, y = LENS.width - x, LENS.height - y
+        scale = self.lens.fx / depth[0]
         return Box.around(float(x), float(y), SIZE_M[0] * scale, SIZE_M[1] * scale)
 
     def advance(self, seconds: float = FRAME_S) -> None:
@@ -175,7 +182,8 @@ class Rig:
         """Never twice the same: noise, or what is to be seen with a little noise on it."""
         if not self.view:
             return self._rounds.integers(0, 256, (4, 4, 3), np.uint8)
-        seen = look(LENS, self.down_rad, self.motion)
+        seen = look(self.lens, self.true_down_rad or 0.0, self.motion)
+        seen = seen[::-1, ::-1] if self.is_upside_down else seen
         return seen ^ self._rounds.integers(0, 4, seen.shape, np.uint8)
 
     def update(self, _image: np.ndarray, _prior: Box | None = None) -> Track:

@@ -1,0 +1,50 @@
+"""A target that a person chooses in flight: it is looked for as long as a lost one, and nothing is flown blindly."""
+
+from dataclasses import replace
+
+import pytest
+
+from follow.messages import HOVER, NEVER, Estimate, Instruction, Setpoint
+from tests.support.gate_rig import DT, LIMITS, engaged, flying, obeyed, seen
+
+NOBODY = Estimate(0.0, 0.0, 0.4, 1e3, 1e3)
+
+
+def after_choice(seconds, found_after_s=None):
+    """Decisions after somebody else was chosen; the servo asks for 3 m/s all the time."""
+    safety, t_s = engaged()
+    decisions, instruction = [], Instruction(aimed=True)
+    for i in range(1, round(seconds / DT) + 1):
+        now = t_s + i * DT
+        found = found_after_s is not None and i * DT >= found_after_s
+        estimate = seen(now) if found else replace(NOBODY, t_s=now)
+        state = flying(now, **obeyed(safety))
+        decisions.append(safety.allow(Setpoint(3.0), estimate, state, now, instruction))
+        instruction = Instruction()
+    return decisions
+
+
+@pytest.mark.parametrize("found_after_s", [2 * DT, 0.2, 0.5, 3.0, 6.0])
+def test_it_follows_as_soon_as_who_was_chosen_is_found(found_after_s):
+    decisions = after_choice(found_after_s + 1.0, found_after_s)
+    assert decisions[-1].mode == "follow"
+    assert "hold" not in {decision.mode.value for decision in decisions}
+    assert decisions[-1].setpoint.forward_m_s > 0.5
+
+
+def test_until_then_it_brakes_and_gives_up_after_the_same_time_as_for_a_lost_target():
+    decisions = after_choice(LIMITS.give_up_after_s + 1.0)
+    modes = [decision.mode.value for decision in decisions]
+    assert list(dict.fromkeys(modes)) == ["follow", "coast", "search", "hold"]
+    assert modes.index("search") == pytest.approx(LIMITS.search_after_s / DT, abs=2)
+    assert modes.index("hold") == pytest.approx(LIMITS.give_up_after_s / DT, abs=2)
+    assert all("inf" not in str(decision.reason) for decision in decisions)
+    assert max(abs(decision.setpoint.forward_m_s) for decision in decisions) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_without_a_choice_an_estimate_without_a_target_is_given_up_at_once():
+    safety, t_s = engaged()
+    state = flying(t_s + DT, **obeyed(safety))
+    decision = safety.allow(HOVER, replace(NOBODY, t_s=t_s + DT), state, t_s + DT)
+    assert NOBODY.seen_t_s == NEVER
+    assert decision.mode == "hold"
