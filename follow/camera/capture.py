@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 
 from follow.camera import CameraError
 from follow.camera.names import CameraKind, CameraName
-from follow.camera.stream_clock import FrameClock, SteadyArrivals, StreamClock
+from follow.camera.stream_clock import AsItComes, FrameClock, SteadyArrivals, StreamClock
 from follow.camera.v4l2 import check_mode, modes_of
+from follow.messages import NEVER
 from racf.orientation import Orientation
 from racf.video import ANY_TEXT, deinterlacer, filtered, to_bgr
 
@@ -29,7 +30,7 @@ OPEN_S = 10.0  # connection timeout
 SILENT_S = 2.0  # read timeout for a sender that died; the gate has stopped by then (0.2 s and 1 s)
 WAITING_PACKETS = 3  # behind by more, images are decoded but not converted, and a later key frame is jumped to
 MOST_PACKETS = 300  # waiting: 10 s at 30 frames/s; then all are dropped up to the next key frame
-UNSTAMPED = frozenset({"mpjpeg", "mjpeg", "h264", "hevc", "rawvideo", "m4v", "lavfi", "image2pipe", "jpeg_pipe"})
+UNSTAMPED = frozenset({"mpjpeg", "mjpeg", "h264", "hevc", "rawvideo", "m4v", "image2pipe", "jpeg_pipe"})
 HELD_PACKETS = {"mpegts": 2, "h264": 1, "hevc": 1, "mjpeg": 1, "m4v": 1, "rtsp": 1, "sdp": 1, "rtp": 1}
 """By format: how many more packets FFmpeg reads before it gives one, because only the next one's beginning ends it.
 
@@ -75,7 +76,11 @@ class _Packets:
 
 
 class StreamCapture:
-    """A device, stream or file that FFmpeg opens; `taken` tells when a frame was taken, if not its stream's stamps."""
+    """A device, stream or file that FFmpeg opens.
+
+    `taken` tells when a frame was taken, if not its stream's stamps or, without those, its rhythm; `clock` tells when
+    what was just read came.
+    """
 
     def __init__(
         self,
@@ -93,8 +98,9 @@ class StreamCapture:
         context.thread_type = "SLICE"  # whole frames in threads would hold back one each
         if not context.has_b_frames:
             context.flags |= LOW_DELAY
-        stamped = container.format.name not in UNSTAMPED
-        self._taken: FrameClock = taken or (StreamClock() if stamped else SteadyArrivals())
+        # Without stamps each packet counts, also those that are passed over; with them each frame in its order.
+        self._rhythm = SteadyArrivals() if taken is None and container.format.name in UNSTAMPED else None
+        self._taken: FrameClock = taken or StreamClock()
         self._arrivals: dict[int | None, float] = {}
         self._graph: Any = None
         self._orientation: Orientation | None = None
@@ -134,14 +140,23 @@ class StreamCapture:
                     break
                 read_t_s.append(self._clock())
                 if packet.size:
-                    self._packets.waiting.put((packet, read_t_s[0]))
+                    self._packets.waiting.put((packet, self._came(read_t_s[0])))
                 if self._packets.waiting.qsize() > MOST_PACKETS:
                     self._drop_waiting()
         except av.error.ExitError:
             why = f"nothing came for {SILENT_S:g} s"
+        except CameraError as error:
+            why = str(error)
         except (av.error.FFmpegError, OSError) as error:
             why = getattr(error, "strerror", None) or str(error)
         self._packets.waiting.put(why)
+
+    def _came(self, t_s: float) -> float:
+        """The arrival of a packet, or without stamps when its frame was taken; NEVER: that cannot be told."""
+        if self._rhythm is None:
+            return t_s
+        taken_t_s = self._rhythm.taken_at(0.0, t_s)
+        return NEVER if taken_t_s is None else taken_t_s
 
     def _drop_waiting(self) -> None:
         while not self._packets.waiting.empty():
@@ -173,6 +188,8 @@ class StreamCapture:
             arrived_t_s = min(self._arrivals.values(), default=self._clock())
         for old in [key for key, t_s in self._arrivals.items() if t_s < arrived_t_s]:
             del self._arrivals[old]
+        if self._rhythm is not None:
+            return None if arrived_t_s == NEVER else arrived_t_s
         stamp_s = arrived_t_s if stamp is None else float(stamp * self._stream.time_base)
         return self._taken.taken_at(stamp_s, arrived_t_s)
 
@@ -223,7 +240,8 @@ def open_stream(name: CameraName, clock: Callable[[], float]) -> StreamCapture:
     except (av.error.FFmpegError, OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or str(error)
         raise CameraError(f"camera {name.text!r} cannot be opened: {why}") from None
-    return StreamCapture(container, clock, taken=KernelClock() if name.kind is CameraKind.DEVICE else None)
+    clocks: dict[CameraKind, FrameClock] = {CameraKind.DEVICE: KernelClock(), CameraKind.LAVFI: AsItComes()}
+    return StreamCapture(container, clock, taken=clocks.get(name.kind))
 
 
 def _how(name: CameraName) -> tuple[str, str | None, dict[str, str]]:

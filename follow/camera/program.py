@@ -5,6 +5,7 @@ are killed it loses its pipe (SIGPIPE).
 """
 
 import contextlib
+import fcntl
 import os
 import select
 import shlex
@@ -12,6 +13,7 @@ import signal
 import subprocess
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -25,6 +27,7 @@ from follow.camera.stream_clock import SteadyArrivals
 from racf.video import ANY_TEXT, to_bgr
 
 CHUNK = 1 << 20  # bytes in one read at most: a pipe holds 64 KiB unless it was made larger
+USUAL_PIPE = 1 << 16  # bytes that a pipe holds where the system does not tell
 END_S = 1.0  # after SIGTERM, before SIGKILL
 SOI, EOI = (
     b"\xff\xd8",
@@ -33,13 +36,41 @@ SOI, EOI = (
 BARE_FPS = "30"  # a bare stream's nominal rate: its stamps are not used
 
 
+class PipeArrivals:
+    """Bounds from below when what is read from a pipe came, so that a reader that is late does not make it newer.
+
+    What a read had to wait for came then.  Else it came after the pipe was last empty; and after the byte that is
+    `holds` before its last one had been read, because the pipe has room for no more.
+    """
+
+    def __init__(self, holds: int, t_s: float) -> None:
+        self._holds, self._position, self._empty_t_s = holds, 0, t_s
+        self._reads: deque[tuple[int, float]] = deque()  # position before each read, and its time
+        self.came_t_s = t_s
+
+    def read(self, count: int, emptied: bool, waited: bool, t_s: float) -> None:
+        """Note a read of `count` bytes that began at `t_s`; emptied: it took all there was."""
+        self._reads.append((self._position, t_s))
+        self._position += count
+        bound_t_s = max(self.came_t_s, self._empty_t_s)
+        while self._reads and self._reads[0][0] < self._position - self._holds:
+            bound_t_s = max(bound_t_s, self._reads.popleft()[1])
+        self.came_t_s = t_s if waited else bound_t_s
+        if emptied:
+            self._empty_t_s = t_s
+
+
+def _pipe_size(pipe: int) -> int:
+    command = getattr(fcntl, "F_GETPIPE_SZ", None)  # Linux
+    return USUAL_PIPE if command is None else fcntl.fcntl(pipe, command)
+
+
 class RunningProgram:
     """A program with its standard output as a file to read, its last line of error, and when what was read came."""
 
     def __init__(self, name: CameraName, clock: Callable[[], float]) -> None:
         self._name, self._clock = name, clock
         self.last_error = ""
-        self.read_t_s = clock()
         self.timeout_s = OPEN_S
         try:
             words = shlex.split(name.address)
@@ -51,6 +82,7 @@ class RunningProgram:
             raise CameraError(f"camera {name.text!r}: the program cannot be started: {why}") from None
         assert self._process.stdout is not None
         self._output = self._process.stdout.fileno()
+        self._arrivals = PipeArrivals(_pipe_size(self._output), clock())
         self._listener = threading.Thread(target=self._listen, name="camera errors", daemon=True)
         self._listener.start()
         self._peeked = b""
@@ -74,11 +106,18 @@ class RunningProgram:
         return self._from_pipe(size)
 
     def _from_pipe(self, size: int) -> bytes:
-        if not select.select([self._output], [], [], self.timeout_s)[0]:
+        waited = not select.select([self._output], [], [], 0.0)[0]
+        if waited and not select.select([self._output], [], [], self.timeout_s)[0]:
             raise CameraError(f"nothing came for {self.timeout_s:g} s{self.said()}")
+        now_t_s = self._clock()  # before the read: what comes from now on is newer
         data = os.read(self._output, min(size, CHUNK))
-        self.read_t_s = self._clock()
+        self._arrivals.read(len(data), len(data) < min(size, CHUNK), waited, now_t_s)
         return data
+
+    @property
+    def read_t_s(self) -> float:
+        """The earliest time at which what was last read can have come."""
+        return self._arrivals.came_t_s
 
     def said(self) -> str:
         """How it ended and its last line of error, to be put behind a reason."""
@@ -121,10 +160,10 @@ class RunningProgram:
 class ProgramCapture:
     """A program whose output FFmpeg takes apart: H.264, H.265, raw images, or a container with stamps."""
 
-    def __init__(self, name: CameraName, program: RunningProgram, clock: Callable[[], float]) -> None:
+    def __init__(self, name: CameraName, program: RunningProgram) -> None:
         self._name, self._program = name, program
         self._container = self._open()
-        self._capture, self.shrink = StreamCapture(self._container, clock), 1
+        self._capture, self.shrink = StreamCapture(self._container, lambda: program.read_t_s), 1
         self.size = self._capture.size
 
     def _open(self) -> Any:
@@ -182,13 +221,16 @@ class JpegCapture:
                 continue
             # Of several that waited only the last is of use; one starts where another ended.
             newest = held[held.rfind(EOI + SOI, 0, -2) + 2 :] if EOI + SOI in held else held
+            taken_t_s = None
+            for _ in range(held.count(EOI + SOI) + 1):
+                taken_t_s = self._taken.taken_at(0.0, self._program.read_t_s)
             held = b""
             try:
                 frames = self._context.decode(av.Packet(newest))
             except av.error.FFmpegError:
                 continue
             for frame in frames:
-                yield to_bgr(frame, self.shrink), self._taken.taken_at(0.0, self._program.read_t_s)
+                yield to_bgr(frame, self.shrink), taken_t_s
 
     def images(self) -> Iterator[tuple[Image, float | None]]:
         """Yield the newest image of each read until the program ends."""
@@ -210,7 +252,7 @@ def open_program(name: CameraName, clock: Callable[[], float]) -> ProgramCapture
     program = RunningProgram(name, clock)
     try:
         jpeg = name.options.get("format") == "mjpeg" or ("format" not in name.options and program.peek()[:2] == SOI)
-        capture = JpegCapture(program) if jpeg else ProgramCapture(name, program, clock)
+        capture = JpegCapture(program) if jpeg else ProgramCapture(name, program)
     except CameraError as error:
         program.wait_end()
         said = "" if "; the program ended" in str(error) else program.said()

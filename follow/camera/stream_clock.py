@@ -1,15 +1,22 @@
-"""A stream's own time stamps seen from our clock: when a frame was taken, in our time."""
+"""When a frame was taken, in our time, seen from a stream's own time stamps or from the rhythm of its arrivals."""
 
-import statistics
 from collections import deque
 from typing import Protocol
 
+import numpy as np
+
+from follow.camera.seam import CameraError
 from follow.messages import NEVER
 
 SETTLE_S = 1.0  # FFmpeg buffers a stream while it probes it: 1.1 s of frames were then read in 0.3 s
-RELEARN_S = 2.0  # a rhythm that stays another for this long is a new one: a second to notice it, one to learn it
-SHORT, LONG = 0.5, 2.5  # usual intervals: a jitter of half of one passes, a single lost frame also
 WINDOW_S = 10.0  # a stream later than before for this long has a longer path: no longer late
+LEARN_S = 1.0  # the rhythm of a stream without stamps is learned from the second after the first
+JITTER_S = 0.05  # by this much two arrivals may be early or late when the period is learned from them
+MEMORY_S = 50.0  # the period is then known to 1 in 1000; a camera's crystal is off by 1 in 10,000 at most
+LATE_S = 0.1  # half of the gate's limit of a frame's age: later frames are no longer of use for long
+GIVE_UP_S = 3.0  # late for this long: a new connection is quicker than waiting for the backlog's end
+SAME_S = 1.0  # a lateness that is the same in two such spans is of lost frames: a queue grows or drains
+SAME = 0.005  # by at least this much of the time: links carry more than a stream needs, or less
 
 
 class StreamClock:
@@ -48,40 +55,119 @@ class FrameClock(Protocol):
         ...
 
 
+class AsItComes:
+    """For a source that draws each frame when it is due: nothing can wait."""
+
+    def taken_at(self, stamp_s: float, t_s: float) -> float | None:
+        """The arrival."""
+        return t_s
+
+
 class SteadyArrivals:
     """For sources without stamps of their own (MJPEG over HTTP, a program's bare H.264): only the rhythm can tell.
 
-    After a hole of more than `LONG` usual intervals comes what piled up meanwhile, oldest first, and each frame of a
-    backlog comes sooner than `SHORT` after the one before: neither is used.  Any other frame counts as taken when it
-    came.  The usual interval is the median of those that were used; the first is the mean of the first second.
+    A camera takes frames at a steady period; a queue on the way delivers them later, never sooner.  So a frame was
+    taken at most one period after the one before it, and not after it came:
+
+        taken[n] = min(arrival[n], taken[n-1] + period)
+
+    What a frame is late by is a debt that only frames which come faster than the camera takes them pay back.  `period`
+    is the longest that the arrivals allow: the least, over all pairs of frames at least a second apart, of (taken[n] -
+    taken[m] + JITTER_S) / (n - m).  It never grows, so that neither a backlog nor an overload is learned as a rhythm.
+    Whoever uses this tells it of every frame, those that he drops included.
+
+    Lateness that neither grows nor shrinks is not a queue's: the camera or the way lost frames, and it is forgiven.
+    Frames that stay more than LATE_S late for GIVE_UP_S raise CameraError: a new connection empties every queue, and
+    learns the rhythm again, which may have become slower.
+
+    Law: if the way drops nothing, was empty when the rhythm was learned, and its queues grow or drain by 1 in 50 of the
+    time or more, no frame's age is understated by more than `most_understated_s`: 0.1 s for a backlog that lasts no
+    longer than the stream was watched before it, or 50 s.  It is overstated by a period for each lost frame until that
+    is forgiven.  What every frame waits from the start on is not seen.
     """
 
     def __init__(self) -> None:
         self._began_t_s: float | None = None
+        self._learned: list[float] = []
+        self._period_s = 0.0
+        self._taken_t_s = NEVER
         self._count = 0
-        self._arrived_t_s = NEVER
-        self._odd_since_t_s: float | None = None
-        self._intervals_s: deque[float] = deque(maxlen=31)  # a second at 30 frames/s
+        self._marks: deque[tuple[int, float]] = deque()  # number and time of one frame each second
+        self._lateness: deque[tuple[float, float]] = deque()  # arrival and lateness of the last two SAME_S
+        self._late_since_t_s: float | None = None
 
     def taken_at(self, stamp_s: float, t_s: float) -> float | None:
-        """The arrival itself, or None for a frame that may have waited on the way."""
+        """When the frame that came at `t_s` was taken; None for those of the first two seconds.
+
+        Raises CameraError when the frames come too late for too long.
+        """
         if self._began_t_s is None:
             self._began_t_s = t_s
-        interval_s, self._arrived_t_s = t_s - self._arrived_t_s, t_s
-        self._count += 1
-        since_s = t_s - self._began_t_s
-        if since_s < SETTLE_S:
+        if not self._period_s:
+            self._learn(t_s)
             return None
-        if not self._intervals_s:
-            self._intervals_s.append(since_s / max(self._count - 1, 1))
-        usual_s = statistics.median(self._intervals_s)
-        if SHORT * usual_s <= interval_s <= LONG * usual_s:
-            self._intervals_s.append(interval_s)
-            self._odd_since_t_s = None
-            return t_s
-        if self._odd_since_t_s is None:
-            self._odd_since_t_s = t_s
-        elif t_s - self._odd_since_t_s > RELEARN_S:
-            self._began_t_s, self._count = t_s, 1
-            self._intervals_s.clear()
-        return None
+        self._step(t_s)
+        self._forgive(t_s)
+        self._check_late(t_s)
+        return self._taken_t_s
+
+    def _learn(self, t_s: float) -> None:
+        """Keep the arrivals of the second after the first, then reckon the period from those that waited least."""
+        assert self._began_t_s is not None
+        if t_s - self._began_t_s < SETTLE_S:
+            return
+        self._learned.append(t_s)
+        if len(self._learned) < 2 or t_s - self._learned[0] < LEARN_S:
+            return
+        arrivals_s = np.array(self._learned)
+        numbers = np.arange(len(arrivals_s))
+        mean_s = (arrivals_s[-1] - arrivals_s[0]) / numbers[-1]
+        early_s = arrivals_s - numbers * mean_s
+        third = -(-len(arrivals_s) // 3)
+        first, last = np.argmin(early_s[:third]), len(arrivals_s) - third + np.argmin(early_s[-third:])
+        self._period_s = float((arrivals_s[last] - arrivals_s[first] + JITTER_S) / (last - first))
+        self._taken_t_s = float(np.min(arrivals_s - (numbers + 1) * self._period_s))
+        for arrival_t_s in self._learned:
+            self._step(arrival_t_s)
+
+    def _step(self, t_s: float) -> None:
+        self._taken_t_s = min(t_s, self._taken_t_s + self._period_s)
+        self._count += 1
+        if not self._marks or self._taken_t_s - self._marks[-1][1] >= 1.0:
+            for number, taken_t_s in self._marks:
+                spanned_s = self._taken_t_s - taken_t_s + JITTER_S
+                self._period_s = min(self._period_s, spanned_s / (self._count - number))
+            self._marks.append((self._count, self._taken_t_s))
+            while self._taken_t_s - self._marks[0][1] > MEMORY_S:
+                self._marks.popleft()
+
+    def _forgive(self, t_s: float) -> None:
+        """Take off the lateness that the frames of the last two SAME_S have in common, if it stayed the same."""
+        self._lateness.append((t_s, t_s - self._taken_t_s))
+        if t_s - self._lateness[0][0] < 2 * SAME_S:
+            return
+        while t_s - self._lateness[0][0] > 2 * SAME_S:
+            self._lateness.popleft()
+        earlier = min((late_s for when, late_s in self._lateness if t_s - when > SAME_S), default=0.0)
+        later = min(late_s for when, late_s in self._lateness if t_s - when <= SAME_S)
+        if min(earlier, later) > 0.0 and abs(later - earlier) < SAME * SAME_S:
+            self._taken_t_s += min(earlier, later)
+            self._lateness.clear()
+
+    def _check_late(self, t_s: float) -> None:
+        late_s = t_s - self._taken_t_s
+        if late_s <= LATE_S:
+            self._late_since_t_s = None
+        elif self._late_since_t_s is None:
+            self._late_since_t_s = t_s
+        elif t_s - self._late_since_t_s > GIVE_UP_S:
+            raise CameraError(f"its frames have come {late_s:.1f} s late for {GIVE_UP_S:g} s")
+
+
+def most_understated_s(watched_s: float, backlog_s: float) -> float:
+    """By how much `SteadyArrivals` may understate an age in a backlog that has lasted `backlog_s`, s.
+
+    watched_s: for how long the stream was watched before it, s, from when its rhythm was learned.
+    """
+    known_s = max(min(watched_s, MEMORY_S), LEARN_S)
+    return 2 * JITTER_S * max(backlog_s / known_s, 1.0)

@@ -48,7 +48,7 @@ def describe(recording: rr.RecordingStream, about: str) -> None:
     line("track/confidence", ["confidence"], [GREEN])
     line("track/sharpness", ["PSR", "APCE"], [GREEN, YELLOW])
     line("range", ["range to the target", "nearest possible", "wanted stand-off"], [ORANGE, DIM, GREEN])
-    line("height", ["height above the target", "wanted height"], [BLUE, GREEN])
+    line("height", ["height above the target", "wanted height at a hover"], [BLUE, GREEN])
     line("desired/velocity", [f"desired {axis}" for axis in AXES], DESIRED)
     line("setpoint/velocity", [f"sent {axis}" for axis in AXES], SENT)
     line("desired/yaw_rate", ["desired"], [DESIRED[0]])
@@ -75,7 +75,7 @@ def layout(play_state: Literal["paused", "playing", "following"] = "paused") -> 
     )
     right = rrb.Vertical(
         _curves("Range, m: to the target (orange), nearest possible (grey), wanted stand-off (green)", ["/range"]),
-        _curves("Height above the target, m: flown (blue), wanted (green)", ["/height"]),
+        _curves("Height above the target, m: flown (blue), wanted at a hover (green)", ["/height"]),
         _curves(
             "Velocity, m/s: forward (blue), right (orange), down (green); pale: desired",
             ["/desired/velocity", "/setpoint/velocity"],

@@ -73,14 +73,15 @@ def flight_figure(table: FlightTable, wanted_m: tuple[float | None, float | None
     figure, axes = columns(6, [1.3, 1.6, 1.4, 1.6, 1.2, 1.0])
     t_s = table.t_s
     lanes(axes[0], table)
-    for ax, values, wanted, name in (
-        (axes[1], table.numbers("target_range_m"), wanted_m[0], "range, m"),
-        (axes[2], table.height_m(), wanted_m[1], "height above target, m"),
+    for ax, values, wanted, label, name in (
+        (axes[1], table.numbers("target_range_m"), wanted_m[0], "wanted", "range, m"),
+        # Who flies fast leans, so that the camera looks steeper down: then the servo keeps more height.
+        (axes[2], table.height_m(), wanted_m[1], "wanted at a hover", "above the\ntarget, m"),
     ):
         seen = np.where(np.isfinite(table.numbers("target_seen_t_s")), values, np.nan)
         line(ax, t_s, seen, "flown", color=BLUE)
         if wanted is not None:
-            ax.axhline(wanted, color=GREEN, linestyle="--", label="wanted")
+            ax.axhline(wanted, color=GREEN, linestyle="--", label=label)
         ax.set_ylabel(name)
         legend(ax)
     for colour, (channel, label) in zip((BLUE, ORANGE, GREEN), CHANNELS, strict=True):

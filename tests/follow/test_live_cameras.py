@@ -15,7 +15,6 @@ import pytest
 from follow.camera import CameraError, live
 from follow.camera.live import LiveVideo
 from follow.camera.names import CameraName
-from follow.camera.stream_clock import SteadyArrivals
 from follow.cli.commands import RunCommand
 from follow.cli.run import open_camera
 from follow.config import CameraConfig, Config
@@ -137,49 +136,13 @@ def test_a_frame_whose_time_is_not_known_or_not_later_is_not_given(scripted):
     assert seen == sorted(set(seen))
 
 
-def steady(intervals_s: list[float]) -> list[bool]:
-    clock, t_s = SteadyArrivals(), 0.0
-    taken = []
-    for interval_s in intervals_s:
-        t_s += interval_s
-        taken.append(clock.taken_at(0.0, t_s))
-    assert all(t is None or t <= t_s for t in taken)
-    return [t is not None for t in taken]
-
-
-def test_what_piled_up_behind_a_hole_in_an_unstamped_stream_is_not_taken_for_fresh():
-    used = steady([1 / 30] * 40 + [1.0] + [0.002] * 29 + [1 / 30] * 10)
-    assert all(used[31:40])
-    assert not any(used[40:70]), "the oldest, which came after the hole, and those that followed at once"
-    assert all(used[71:])
-
-
-def test_five_seconds_that_come_in_two_are_all_too_old():
-    used = steady([1 / 30] * 60 + [5.0] + [1 / 75] * 149 + [1 / 30] * 10)
-    assert not any(used[60:210])
-    assert all(used[210:])
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_a_jitter_of_a_third_of_an_interval_costs_no_frame(seed):
-    rng = np.random.default_rng(seed)
-    exact = np.arange(300) / 30 + rng.uniform(-1 / 180, 1 / 180, 300)
-    assert sum(steady(list(np.diff(exact)))) > 260  # of 299, of which the first 30 are learned from
-
-
-@pytest.mark.parametrize(("before", "after"), [(60, 15), (15, 60), (30, 5)])
-def test_a_rate_that_changes_is_usual_after_a_few_seconds(before, after):
-    used = steady([1 / before] * (3 * before) + [1 / after] * (8 * after))
-    assert all(used[3 * before + 4 * after :])
-
-
 @pytest.mark.realtime
 @pytest.mark.parametrize(
     ("form", "options"), [("mjpeg", ""), ("h264", ""), ("yuv420p", "?format=yuv420p&size=192x120")]
 )
 def test_a_programs_frames_are_flown_and_it_is_started_again_when_it_dies(form, options):
     lines: list[str] = []
-    command = f"exec{options}:{PROGRAM} {form} --frames 90 --fail 'sensor lost'"
+    command = f"exec{options}:{PROGRAM} {form} --frames 120 --fail 'sensor lost'"
     with LiveVideo(command, lines.append) as camera:
         assert camera.size == (192, 120)
         rounds = watched(camera, lambda: len(lines) >= 2)
@@ -189,7 +152,7 @@ def test_a_programs_frames_are_flown_and_it_is_started_again_when_it_dies(form, 
     assert numbers == sorted(set(numbers))
     shifts = np.array([frame.t_s - number_in(frame.image) / 30 for frame in rounds if frame is not None])
     with against_the_clock():
-        assert len(numbers) > 30, "of the two seconds after the first"
+        assert len(numbers) > 30, "of the two seconds after the first two"
         assert np.ptp(shifts) < 0.05, "each frame's time is that of its number"
 
 
