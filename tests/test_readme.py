@@ -64,7 +64,10 @@ def test_every_make_word_of_the_readme_exists(words):
     assert set(words) <= set(targets)
 
 
-@pytest.mark.parametrize("words", [w for w in commands("follow") if w[0] == "sim"], ids=" ".join)
+WATCHED = "--page"  # flies in real time until a person ends it: tests/follow/test_page_flight.py
+
+
+@pytest.mark.parametrize("words", [w for w in commands("follow") if w[0] == "sim" and WATCHED not in w], ids=" ".join)
 def test_the_simulated_flights_of_the_readme_fly(words, tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(SCENARIOS, words[1], replace(SCENARIOS[words[1]], duration_s=1.0))

@@ -98,6 +98,11 @@ class SimCommand:
     view: str | None = None
     """Show the flight in Rerun while it flies: here (also without a word), web for a browser, or
     rerun+http://HOST:PORT/proxy for a viewer on another computer. Default: not shown."""
+    page: str | None = None
+    """Operator's page in a browser, HOST:PORT, as 127.0.0.1:8080: to see, select, follow and stop, in real time.
+    Default: no page."""
+    page_token: Path | None = None
+    """File of the page's token. Default: a new one, printed, for an address that others reach; none on loopback."""
     out: Path | None = None
     """Output folder: flight.rrd, ticks.csv, settings.toml, summary.json and flight.png; with --all one folder for each
     flight, and all.txt. Default: out/sim/SCENARIO, with --all out/sim."""
@@ -117,6 +122,8 @@ class SimCommand:
             raise ValueError(f"--seeds is 1 or more, not {self.seeds}")
         if self.dask is not None and not self.all:
             raise ValueError("--dask needs --all: a single flight runs here")
+        if self.all and self.page is not None:
+            raise ValueError("--page shows one flight: leave out --all")
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,6 +168,10 @@ class RunCommand:
     """A box drawn at the ground station orders FOLLOW at once. Default: it is tracked, and FOLLOW is ordered apart."""
     ground_unsigned: bool = False
     """Let everybody on the network choose the target at --ground udpin:HOST:PORT. Default: only with --signing-key."""
+    page: str | None = None
+    """Operator's page in a browser, HOST:PORT, as 127.0.0.1:8080: to see, select, follow and stop. Default: no page."""
+    page_token: Path | None = None
+    """File of the page's token. Default: a new one, printed, for an address that others reach; none on loopback."""
     seconds: float = 0.0
     """End after this time, s. 0: fly until stopped."""
     seed: int = 0

@@ -24,6 +24,7 @@ from follow.camera.video import open_replay
 from follow.cli.commands import RunCommand, box_in, box_of, lens_of
 from follow.cli.ground import check_ground, ground_sides
 from follow.cli.layers import SCENE, from_scene
+from follow.cli.page import consoles_of, desk_of, open_page, page_options
 from follow.cli.settings import as_toml, scene_values
 from follow.cli.sim import Referee, believed_camera, scene_camera
 from follow.config import CameraConfig, Config, resolve
@@ -44,7 +45,7 @@ from follow.link.tlog import Tlog
 from follow.link.transports import parse_address
 from follow.messages import Autopilot, Notify, Tick
 from follow.operator.authority import Keys, Operator
-from follow.operator.consoles import Consoles
+from follow.operator.page.exchange import Exchange
 from follow.operator.terminal import Terminal
 from follow.recording.exact import Setup
 from follow.recording.folder import claimed
@@ -103,7 +104,7 @@ def open_scene(command: RunCommand, link: Link, drawn: CameraConfig | None = Non
     mount = scene_camera(scenario, autopilot, drawn or command.config.camera)
     camera, _ = build_live(scenario, command.seed, autopilot, link, mount)
     target = box_of(command.target) if command.target is not None else camera.first()[1]
-    if command.target is None and command.ground is not None:
+    if command.target is None and (command.ground is not None or command.page is not None):
         target = None  # a person will point at it
     config = resolve(command.config, believed.intrinsics, believed.down_rad, believed.latency_s)
     referee = Referee(camera)
@@ -118,8 +119,8 @@ def check(command: RunCommand) -> None:
     """Raise UsageError, LinkError or CameraError for what no vehicle is needed to refuse."""
     if command.target is not None:
         box_of(command.target)
-    elif not command.camera.startswith(SCENE) and command.ground is None:
-        raise UsageError("what is to be followed? give --target x,y,w,h, or --ground to point at it later")
+    elif not command.camera.startswith(SCENE) and command.ground is None and command.page is None:
+        raise UsageError("what is to be followed? give --target x,y,w,h, or --page or --ground to point at it later")
     check_ground(command)
     if not command.link.startswith("mavsdk+"):
         parse_address(command.link)
@@ -158,20 +159,24 @@ def inspect(command: RunCommand, link: MavlinkLink) -> list[Finding]:
 def fly_live(command: RunCommand, bare: Any) -> None:
     """`follow run`; `bare` are its settings without those that a drawn scene suggests."""
     check(command)
+    page = page_options(command.page, command.page_token)
     terminal = Terminal(waits=False)
     name = command.camera.removeprefix(SCENE)
     scene = from_scene(name, command.config, bare) if name != command.camera else frozenset[str]()
     try:
-        with claimed(command.out):
-            fly_reported(command, terminal, scene)
+        with claimed(command.out), open_page(page, command.out, terminal, command.page_token) as exchange:
+            fly_reported(command, terminal, scene, exchange)
     finally:
         terminal.flush()
 
 
-def fly_reported(command: RunCommand, terminal: Terminal, scene: frozenset[str]) -> None:
+def fly_reported(
+    command: RunCommand, terminal: Terminal, scene: frozenset[str], exchange: Exchange | None = None
+) -> None:
     """From the first message to the last; `scene` names the settings that a drawn scene gave."""
     early: list[str] = []  # lines reported before the recording exists
-    terminal.listeners.append(early.append)
+    keep = early.append
+    terminal.listeners.append(keep)
     # Until there is a flight to order, the signal must not do what it does by default: kill.
     signal.signal(signal.SIGUSR1, lambda _number, _frame: terminal.report("not ready yet: SIGUSR1 orders nothing"))
     forwarder = LogForwarder(terminal.report)
@@ -190,8 +195,9 @@ def fly_reported(command: RunCommand, terminal: Terminal, scene: frozenset[str])
             flight = prepare(command, link, refusing_early(keys, terminal.report))
             keys.refuse_early(terminal.report)
             recorder = recording.enter_context(begin_recording(command, flight.seen, starting, terminal, early))
+            terminal.listeners.remove(keep)
             recorder.settings(as_toml(command.config, flight.seen.config, scene))
-            fly_prepared(command, flight, link, recorder, terminal.report)
+            fly_prepared(command, flight, link, recorder, terminal.report, exchange)
             autopilot = link.state().autopilot
         figures: Figures = {"tracker": command.tracker, "autopilot": autopilot.value if autopilot else ""}
         if tlog.lost:
@@ -276,12 +282,17 @@ def begin_recording(
     with record(command.out, command.config.record, terminal.report) as recorder:
         for line in early:
             recorder.message(line)
-        terminal.listeners[:] = [recorder.message]
+        terminal.listeners.append(recorder.message)
         yield recorder
 
 
 def fly_prepared(
-    command: RunCommand, flight: PreparedFlight, link: MavlinkLink, recorder: Recorder, report: Notify
+    command: RunCommand,
+    flight: PreparedFlight,
+    link: MavlinkLink,
+    recorder: Recorder,
+    report: Notify,
+    exchange: Exchange | None = None,
 ) -> None:
     """Build the parts and fly until the end."""
     seen = flight.seen
@@ -296,11 +307,13 @@ def fly_prepared(
         if command.aim:
             operator.aim = tracker.restart
         sees: list[Callable[[Tick], object]] = [lambda tick: recorder.tick(tick, seen.truth(tick))]
-        consoles = Consoles(operator, tracker.choose, report, seen.config.servo.standoff_m, command.ground_follows)
-        if command.ground is not None:
+        consoles = consoles_of(operator, tracker, report, seen.config.servo, follows=command.ground_follows)
+        if command.ground is not None or exchange is not None:
             operator.wanted = lambda: consoles.wanted
             sees.append(consoles.see)
         sees += open_sides.enter_context(ground_sides(command, link, seen.lens, consoles, report))
+        if exchange is not None:
+            sees.append(open_sides.enter_context(desk_of(exchange, consoles, command.out)).see)
 
         def see(tick: Tick) -> None:
             for take in sees:

@@ -10,6 +10,7 @@ from typing import Any, cast
 
 from follow.cli.commands import SimCommand, lens_of
 from follow.cli.layers import from_scene
+from follow.cli.page import page_options
 from follow.cli.settings import as_toml
 from follow.config import CameraConfig, Config, resolve
 from follow.control.image_motion import ImageMotionMeter
@@ -180,6 +181,12 @@ def sim(command: SimCommand, settings_of: Callable[[str], Config], bare: Any) ->
         out = command.out or OUT / command.scenario
         flight = FlightSpec(command.scenario, command.seed, autopilot, command.tracker, command.config, out)
         flight = replace(flight, scene=from_scene(command.scenario, command.config, bare), view=command.view)
+        page = page_options(command.page, command.page_token)
+        if page is not None:
+            from follow.cli.sim_page import fly_watched  # noqa: PLC0415 - which imports this file
+
+            fly_watched(flight, page, command.page_token, as_json=command.json)
+            return
         flown = simulate(flight, terminal, bar=True)
         finished, failure = flown.finished, flown.failure
         conclude(flown.figures, flight.out, terminal, as_json=command.json, finished=finished, failure=failure)

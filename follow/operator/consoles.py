@@ -93,7 +93,8 @@ class Consoles:
     drawn_t_s: float = NEVER
     proposed_t_s: float = NEVER
     around_until_s: float = NEVER
-    flown_mode: str = ""  # the servo mode that FOLLOW flies
+    flown_mode: str = ""  # the servo mode that FOLLOW flies; empty: the one that is set
+    set_mode: str = ConsoleCommand.CHASE.value
     status: TrackingStatus = NOTHING  # what every console shows of the tracker
     tick: Tick | None = None
 
@@ -133,12 +134,17 @@ class Consoles:
         self.report(f"{console} hands over the command")
         return Reply(True, "handed over")
 
+    @property
+    def present_commander(self) -> str:
+        """The console that commands; empty if nobody does, or if it has fallen silent."""
+        is_there = self.t_s - self.heard_t_s.get(self.commander, NEVER) <= SILENT_S
+        return self.commander if is_there else ""
+
     def why_not(self, console: str) -> str:
         """Why this console may not order, empty if it may; it commands from now on if nobody does."""
         self.hears(console)
         holder = self.commander
-        is_there = self.t_s - self.heard_t_s.get(holder, NEVER) <= SILENT_S
-        if holder and holder != console and is_there:
+        if self.present_commander not in ("", console):
             return f"{holder} commands: hand over there first"
         if holder != console:
             self.commander = console
@@ -239,7 +245,7 @@ class Consoles:
             return "no estimate yet"
         seen = self.tick.estimate
         height_m = seen.range_m * math.tan(seen.depression_rad)
-        mode = self.flown_mode or ConsoleCommand.CHASE.value
+        mode = self.flown_mode or self.set_mode
         return f"{seen.range_m:.0f} m away, {height_m:.0f} m above it; {mode} at {self.standoff_m:.0f} m"
 
 

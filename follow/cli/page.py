@@ -1,0 +1,77 @@
+"""`--page`: builds the operator's page for `follow run` and `follow sim`."""
+
+import contextlib
+from collections.abc import Generator
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+
+from follow.control.selector import Selector
+from follow.control.servo import ServoConfig
+from follow.messages import Notify
+from follow.operator.authority import Operator
+from follow.operator.consoles import Consoles
+from follow.operator.page.desk import PageDesk
+from follow.operator.page.door import PageAddress, new_token, parse_page_address, read_token
+from follow.operator.page.exchange import Exchange
+from follow.operator.terminal import Terminal
+from racf.commandline import UsageError
+
+NEEDS = ("starlette", "uvicorn", "websockets")
+
+
+@dataclass(frozen=True, slots=True)
+class PageOptions:
+    """Where the page listens, and its token (empty: none is needed)."""
+
+    address: PageAddress
+    token: str
+
+
+def page_options(page: str | None, token_file: Path | None) -> PageOptions | None:
+    """The options of the command line; None without a page.  Raises UsageError, ValueError, OSError."""
+    if page is None:
+        if token_file is not None:
+            raise UsageError("--page-token needs --page HOST:PORT")
+        return None
+    address = parse_page_address(page)
+    if missing := [name for name in NEEDS if find_spec(name) is None]:
+        raise UsageError(f"--page needs {', '.join(missing)}: pip install 'follow-me[page]'")
+    token = "" if token_file is None else read_token(token_file)
+    return PageOptions(address, token or ("" if address.is_local else new_token()))
+
+
+@contextlib.contextmanager
+def open_page(
+    options: PageOptions | None, out: Path, terminal: Terminal, token_file: Path | None = None
+) -> Generator[Exchange | None, None, None]:
+    """The page, from the start of the program to its end; None without one.  Raises OSError if it cannot listen."""
+    if options is None:
+        yield None
+        return
+    from follow.operator.page.server import PageServer  # noqa: PLC0415 - the extra `page`, which other flights do without
+
+    exchange = Exchange()
+    with PageServer(options.address, options.token, exchange, out, terminal.report):
+        terminal.listeners.append(exchange.say)
+        shown = "" if token_file is not None else options.token  # a token of a file stays in its file
+        rest = f" with ?token= and what {token_file} holds" if token_file is not None else ""
+        terminal.report(f"page: {options.address.url(shown)}{rest}")
+        yield exchange
+
+
+@contextlib.contextmanager
+def desk_of(exchange: Exchange, consoles: Consoles, out: Path) -> Generator[PageDesk, None, None]:
+    """The loop's side of the page while a flight is flown."""
+    desk = PageDesk(consoles, exchange, out.resolve().name)
+    try:
+        yield desk
+    finally:
+        desk.close()
+
+
+def consoles_of(
+    operator: Operator, tracker: Selector, report: Notify, servo: ServoConfig, *, follows: bool = False
+) -> Consoles:
+    """The consoles of a flight."""
+    return Consoles(operator, tracker.choose, report, servo.standoff_m, follows, set_mode=servo.mode.value)

@@ -1,0 +1,167 @@
+"""The loop's side of the page: heeds what was done in the windows, and hands out each round.  Nothing here waits."""
+
+import math
+from collections import deque
+
+from follow.geometry import heading_to_ned
+from follow.messages import NEVER, Estimate, Frame, Mode, Tick, VehicleState
+from follow.operator.consoles import CONFIRM_S, SPOTLIGHT, Consoles
+from follow.operator.page.exchange import Act, Doing, Exchange, Shown, number
+from follow.recording.rows import held_by
+from follow.safety.modes import FLYING, STREAMING
+from follow.selection import HOVER_HERE, Cleared, Selection, TrackingState, TrackingStatus
+
+ACTS = 4  # heeded in a round, besides every STOP: a flood must not delay a setpoint
+FRAMES = 256  # whose times are kept: more than a selection may name (2 s at 60 frames/s)
+PATH_S = 0.5  # between two points of the top view
+
+CALM, GOOD, WARNS, BAD = "calm", "good", "warns", "bad"
+"""What a state means to a person: nothing moves, it follows, attention, the target or the control is lost."""
+
+STATES = {
+    Mode.OBSERVE: ("NOT READY", WARNS),
+    Mode.READY: ("TRACKING", CALM),
+    Mode.ENGAGE: ("TAKING OVER", GOOD),
+    Mode.FOLLOW: ("FOLLOWING", GOOD),
+    Mode.COAST: ("TARGET LOST", BAD),
+    Mode.SEARCH: ("SEARCHING", BAD),
+    Mode.HOLD: ("GAVE UP, HOVERS", BAD),
+    Mode.BRAKE: ("BRAKING", BAD),
+    Mode.ENDED: ("STOPPED", CALM),
+}
+"""The state in large letters, in each mode of the gate."""
+
+
+def headline(mode: Mode, wanted: str, tracking: TrackingState) -> tuple[str, str]:
+    """The state in large letters and its tone; `wanted` is the mode that a person wants."""
+    if mode in (Mode.OBSERVE, Mode.READY, Mode.ENDED) and tracking is TrackingState.IDLE:
+        return ("STOPPED" if mode is Mode.ENDED else "SELECT A TARGET"), CALM
+    if mode is Mode.FOLLOW and wanted == SPOTLIGHT:
+        return "SPOTLIGHT", GOOD
+    if mode in FLYING and wanted == HOVER_HERE:
+        return "HOLDS", WARNS
+    return STATES[mode]
+
+
+class PageDesk:
+    """`see` takes each tick, after the consoles did.
+
+    `recording` names the flight that is being recorded.
+    """
+
+    def __init__(self, consoles: Consoles, exchange: Exchange, recording: str = "") -> None:
+        self._consoles, self._exchange, self._recording = consoles, exchange, recording
+        self._times: deque[tuple[int, float]] = deque(maxlen=FRAMES)
+        self._frame: Frame | None = None
+        self._status: TrackingStatus | None = None
+        self._said_t_s = self._path_t_s = NEVER
+        exchange.is_flying = True
+
+    def see(self, tick: Tick) -> None:
+        """Take one round."""
+        if tick.frame is not None:
+            self._frame, self._status = tick.frame, self._consoles.status
+            self._times.append((tick.frame.index, tick.frame.t_s))
+        for window in self._exchange.heard():
+            self._consoles.hears(window)
+        for act in self._exchange.taken(ACTS):
+            self._heed(act)
+        state = tick.state
+        if state.said_t_s > self._said_t_s:
+            self._said_t_s = state.said_t_s
+            self._exchange.say(f"autopilot: {state.said}")
+        status = self._status
+        self._exchange.put(
+            Shown(
+                self._frame,
+                status.box if status is not None else None,
+                (status.state if status is not None else TrackingState.IDLE).value,
+                self._describe(tick),
+            )
+        )
+
+    def close(self) -> None:
+        """The flight is over: no more acts are heeded."""
+        self._exchange.is_flying = False
+        last = self._exchange.shown
+        ended = {**last.status, "state": "THE FLIGHT IS OVER", "tone": CALM, "why": "the program has ended"}
+        self._exchange.put(Shown(last.frame, None, "idle", ended))
+
+    def _heed(self, act: Act) -> None:
+        """Carry out one act and answer its window."""
+        consoles = self._consoles
+        if act.doing is Doing.SELECT:
+            why = self._select(act)
+            self._exchange.reply(act.by, f"not selected: {why}" if why else "target selected", done=not why)
+        elif act.doing is Doing.CLEAR:
+            consoles.choose(Cleared(act.by))
+            self._exchange.reply(act.by, "target cleared, stopped", done=True)
+        elif act.doing is Doing.HAND_OVER:
+            reply = consoles.release(act.by)
+            self._exchange.reply(act.by, reply.words, done=reply.done)
+        elif act.order is not None:
+            reply = consoles.order(act.order, act.by)
+            self._exchange.reply(act.by, f"{act.order.value}: {reply.words}", done=reply.done)
+
+    def _select(self, act: Act) -> str:
+        """Why a selection is refused; empty if it is taken."""
+        frame_t_s = next((t_s for index, t_s in reversed(self._times) if index == act.frame), None)
+        if frame_t_s is None:
+            return "that image is too old: select again"
+        return self._consoles.choose(Selection(*act.box, frame_t_s, act.by))
+
+    def _describe(self, tick: Tick) -> dict[str, object]:
+        """The status of one round as JSON has it."""
+        consoles, decision, state, seen = self._consoles, tick.decision, tick.state, tick.estimate
+        wanted = consoles.wanted
+        words, tone = headline(decision.mode, wanted.mode, consoles.status.state)
+        held = [note.replace("limits.", "") for note in held_by(decision.notes)]
+        confidence = tick.track.confidence if tick.track is not None else math.nan
+        is_known = seen.seen_t_s > NEVER
+        return {
+            "t": number(state.t_s),
+            "state": words,
+            "tone": tone,
+            "mode": decision.mode.value,
+            "why": str(decision.reason),
+            "streams": decision.mode in STREAMING,
+            "vehicle": state.mode or "no known mode",
+            "armed": state.armed,
+            "landed": state.landed.value,
+            "battery": state.battery.value,
+            "link_s": number(state.t_s - state.heartbeat_t_s, 1),
+            "image_s": number(state.t_s - self._frame.t_s) if self._frame is not None else None,
+            "confidence": number(confidence),
+            "range_m": number(seen.range_m, 1) if is_known else None,
+            "range_std_m": number(seen.range_std_m, 1) if is_known else None,
+            "height_m": number(seen.range_m * math.tan(min(seen.depression_rad, 1.5)), 1) if is_known else None,
+            "speed_m_s": number(math.hypot(state.north_m_s, state.east_m_s), 1),
+            "held": held,
+            "proposal": consoles.proposal() if self._is_proposed() else "",
+            "would_fly": consoles.proposal() if is_known else "",
+            "standoff_m": number(consoles.standoff_m * wanted.standoff_factor, 1),
+            "raise_deg": number(math.degrees(wanted.raise_rad), 0),
+            "flown_mode": consoles.flown_mode or consoles.set_mode,
+            "wanted": wanted.mode,
+            "commander": consoles.present_commander,
+            "recording": self._recording,
+            "map": self._map(state, seen if is_known else None),
+        }
+
+    def _is_proposed(self) -> bool:
+        return self._consoles.t_s - self._consoles.proposed_t_s <= CONFIRM_S
+
+    def _map(self, state: VehicleState, seen: Estimate | None) -> list[float | None]:
+        """Vehicle (north, east, yaw) and target (north, east), m and rad, local NED; None where it is not known."""
+        points: list[float | None] = [number(state.north_m, 1), number(state.east_m, 1), number(state.yaw_rad)]
+        if seen is None or not math.isfinite(seen.range_m):
+            points += [None, None]
+        else:
+            ahead, aside = seen.range_m * math.cos(seen.azimuth_rad), seen.range_m * math.sin(seen.azimuth_rad)
+            north, east = heading_to_ned(ahead, aside, state.yaw_rad)
+            points += [number(state.north_m + north, 1), number(state.east_m + east, 1)]
+        known = [value for value in points if value is not None]
+        if state.t_s - self._path_t_s >= PATH_S and len(known) == len(points):
+            self._path_t_s = state.t_s
+            self._exchange.path.append(tuple(known))
+        return points

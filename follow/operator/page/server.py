@@ -1,0 +1,222 @@
+"""The page's thread: an HTTP and WebSocket server with its own event loop, beside a flight that never waits for it."""
+
+import contextlib
+import logging
+import socket
+import threading
+from collections.abc import Awaitable, Callable, MutableMapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import uvicorn
+from starlette.applications import Starlette
+from starlette.datastructures import Headers
+from starlette.requests import Request
+from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, RedirectResponse, Response
+from starlette.routing import Route, WebSocketRoute
+from typing_extensions import Self
+
+from follow.messages import Notify
+from follow.operator.page.door import Door, PageAddress, require_token
+from follow.operator.page.exchange import Exchange
+from follow.operator.page.recordings import FlightShelf
+from follow.operator.page.reports import Reports
+from follow.operator.page.windows import LARGEST_MESSAGE, Windows
+
+CLOSE_S = 3.0  # for the thread to end
+CONNECTIONS = 64  # at a time; a window has one, a browser opens a few more for files
+SERVER_LOG = logging.getLogger("uvicorn")
+HTML = Path(__file__).with_name("page.html")
+REPORTS_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox"
+
+Scope = MutableMapping[str, Any]
+Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
+Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
+App = Callable[[Scope, Receive, Send], Awaitable[None]]
+
+
+def guarded_by(door: Door, app: App) -> App:
+    """An application that is reached only through the door."""
+
+    async def guard(scope: Scope, receive: Receive, send: Send) -> None:
+        is_socket = scope["type"] == "websocket"
+        headers = Headers(scope=scope)
+        refused = door.refusal(headers, changes=is_socket or scope.get("method") not in ("GET", "HEAD"))
+        if refused is not None:
+            await refuse(is_socket, PlainTextResponse(refused.words + "\n", refused.status), scope, receive, send)
+            return
+        cookie = door.token_of(scope["query_string"].decode("latin-1"))
+        if cookie:
+            await RedirectResponse("/", 303, {"set-cookie": cookie, **fixed(headers)})(scope, receive, send)
+        elif cookie == "" or not door.is_let_in(headers):
+            words = "open the page by the address with ?token=... that was printed or is in your token file\n"
+            await refuse(is_socket, PlainTextResponse(words, 403), scope, receive, send)
+        else:
+            await app(scope, receive, with_headers(send, fixed(headers)))
+
+    return guard
+
+
+async def refuse(is_socket: bool, response: Response, scope: Scope, receive: Receive, send: Send) -> None:
+    """Refuse a request; a WebSocket before it is accepted, which its client sees as status 403."""
+    if is_socket:
+        await send({"type": "websocket.close", "code": 1008})
+    else:
+        await response(scope, receive, send)
+
+
+def fixed(headers: Headers) -> dict[str, str]:
+    """The headers of every response: nothing from elsewhere, in no frame of another site, nothing kept."""
+    socket_url = f"ws://{headers.get('host', '')}"
+    return {
+        "content-security-policy": (
+            "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src 'self' blob: data:; "
+            f"connect-src 'self' {socket_url}; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+        ),
+        "x-frame-options": "DENY",
+        "x-content-type-options": "nosniff",
+        "referrer-policy": "no-referrer",
+        "cross-origin-resource-policy": "same-origin",
+        "cache-control": "no-store",
+    }
+
+
+def with_headers(send: Send, headers: dict[str, str]) -> Send:
+    """`send` that adds the headers to each response which does not set them itself."""
+
+    async def sending(message: MutableMapping[str, Any]) -> None:
+        if message["type"] == "http.response.start":
+            there = {name.lower() for name, _ in message["headers"]}
+            new = [(n.encode(), v.encode("latin-1")) for n, v in headers.items() if n.encode() not in there]
+            message = {**message, "headers": [*message["headers"], *new]}
+        await send(message)
+
+    return sending
+
+
+def application(door: Door, exchange: Exchange, flights: FlightShelf) -> App:
+    """The page's routes behind its door."""
+    html, windows, reports = HTML.read_bytes(), Windows(exchange), Reports(flights, exchange)
+
+    def page(_request: Request) -> Response:
+        return Response(html, media_type="text/html; charset=utf-8")
+
+    def listing(_request: Request) -> Response:
+        return JSONResponse([flight.as_json for flight in flights.listed()])
+
+    def download(request: Request) -> Response:
+        path = flights.file(request.path_params["name"], request.path_params["file"])
+        if path is None:
+            return PlainTextResponse("no such recording\n", 404)
+        if path.suffix == ".html":
+            return FileResponse(path, headers={"content-security-policy": REPORTS_POLICY})
+        return FileResponse(path, filename=f"{request.path_params['name'].replace('/', '-')}-{path.name}")
+
+    async def report(request: Request) -> Response:
+        why = await reports.write(request.path_params["name"])
+        return PlainTextResponse(why or "written", 200 if not why else 409)
+
+    routes = [
+        Route("/", page),
+        Route("/recordings", listing),
+        Route("/recordings/{name:path}/report", report, methods=["POST"]),
+        Route("/recordings/{name:path}/{file}", download),
+        WebSocketRoute("/window", windows.serve),
+    ]
+    app = Starlette(routes=routes)
+    app.router.redirect_slashes = False
+    return guarded_by(door, app)
+
+
+def listening(address: PageAddress) -> socket.socket:
+    """A socket that listens there; port 0 takes a free one.  Raises OSError with a sentence for a person."""
+    family = socket.AF_INET6 if ":" in address.host else socket.AF_INET
+    try:
+        return socket.create_server((address.host, address.port), family=family, backlog=CONNECTIONS)
+    except OSError as error:
+        raise OSError(
+            f"--page {address.host}:{address.port} cannot be listened on ({error.strerror}): "
+            "give another port, or end the program that has it"
+        ) from None
+
+
+class ErrorLines(logging.Handler):
+    """Reports an error inside the page as one line, the same one once."""
+
+    def __init__(self, report: Notify) -> None:
+        super().__init__(logging.ERROR)
+        self._report = report
+        self._told: set[str] = set()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Report one record."""
+        error = record.exc_info[1] if record.exc_info else None
+        words = f"{type(error).__name__}: {error}" if error is not None else record.getMessage()
+        if words not in self._told:
+            self._told.add(words)
+            self._report(f"the page could not serve a window ({words}): the flight goes on")
+
+
+class PageServer:
+    """Serves the page from a thread of its own until it is closed.
+
+    Raises OSError, with a sentence for a person, if it cannot listen at the address, ValueError without a token at an
+    address that others reach.
+    """
+
+    def __init__(self, address: PageAddress, token: str, exchange: Exchange, out: Path, report: Notify) -> None:
+        self._report, self._exchange = report, exchange
+        require_token(address, token)
+        self._socket = listening(address)
+        self.address = replace(address, port=self._socket.getsockname()[1])
+        app = application(Door(self.address, token), exchange, FlightShelf(out))
+        self._log = ErrorLines(report)
+        SERVER_LOG.addHandler(self._log)
+        SERVER_LOG.propagate = False
+        config = uvicorn.Config(
+            app,
+            log_config=None,
+            access_log=False,
+            lifespan="off",
+            http="h11",
+            ws="websockets-sansio",
+            ws_max_size=LARGEST_MESSAGE,
+            ws_per_message_deflate=False,
+            ws_ping_interval=5.0,
+            ws_ping_timeout=10.0,
+            limit_concurrency=CONNECTIONS,
+            timeout_graceful_shutdown=1,
+            server_header=False,
+        )
+        self._server = uvicorn.Server(config)
+        self._thread = threading.Thread(target=self._run, name="page", daemon=True)
+        self._thread.start()
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether the thread runs."""
+        return self._thread.is_alive()
+
+    def _run(self) -> None:
+        """The thread."""
+        try:
+            self._server.run([self._socket])
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever it was, the flight goes on without the page
+            self._report(f"the page has ended ({type(error).__name__}: {error}): the flight goes on without it")
+        finally:
+            self._exchange.wake = lambda: None
+            SERVER_LOG.removeHandler(self._log)
+            with contextlib.suppress(OSError):
+                self._socket.close()
+
+    def close(self) -> None:
+        """End the thread; one that does not end is left behind."""
+        self._server.should_exit = True
+        self._thread.join(CLOSE_S)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        self.close()
