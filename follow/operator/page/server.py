@@ -1,5 +1,8 @@
 """The page's thread: an HTTP and WebSocket server with its own event loop, beside a flight that never waits for it."""
 
+# pyright: reportMissingImports=false
+# The extra `page` may be missing where types are checked.
+
 import contextlib
 import logging
 import socket

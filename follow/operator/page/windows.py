@@ -4,6 +4,9 @@ An image is sent when the window has said that it shows the last one, so that a 
 behind.  The status is the whole state each time: nothing queues up for a window that does not read.
 """
 
+# pyright: reportMissingImports=false
+# The extra `page` may be missing where types are checked.
+
 import asyncio
 import contextlib
 import json
