@@ -1,6 +1,7 @@
 """The pages say what the program does: every column, figure and message, every link, every option."""
 
 import ast
+import math
 import re
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from follow.flight.parameters import QUESTIONS
 from follow.messages import Cause
 from follow.recording.rows import COLUMNS
 from follow.recording.summary import Figures
+from follow.safety.limits import Limits
 from tools.docs.geometry import height_m
 
 ROOT = Path(__file__).parents[1]
@@ -155,3 +157,17 @@ def test_every_setting_of_a_page_exists_and_a_number_in_brackets_is_its_default(
         option(Config(), name)
     for name, number in re.findall(r"`--((?:camera|target|servo|limits)\.[a-z0-9.-]+)` \(([\d.]+)\)", text):
         assert float(number) == option(Config(), name), name
+
+
+def test_the_limits_by_size_follow_from_the_mass():
+    """Speed from 80 J and at most the default, energy, and the way of a stop with 1 s before it."""
+    part = FIRST.split("## Limits by vehicle size")[1]
+    rows = [line.strip("| ").split(" | ") for line in part.splitlines() if line.startswith("| ") and " kg " in line]
+    assert len(rows) == 6
+    for mass, speed, energy, accel, keeps, standoff, stop in rows:
+        m, v, a = float(mass.split()[0]), float(speed), float(accel)
+        assert v == min(Limits().speed_m_s, math.floor(10 * math.sqrt(160 / m)) / 10)
+        assert energy == f"{m * v * v / 2:.0f} J"
+        assert stop == f"{v * v / (2 * a) + v:.0f} m"
+        Limits(speed_m_s=v, accel_m_s2=a, min_standoff_m=float(keeps))
+        assert float(standoff) > 2 * float(keeps)

@@ -143,6 +143,8 @@ class RunCommand:
     file, a program's output (exec:PROGRAM), picamera2, a file, or a drawn scene (scene:NAME); see docs/cameras.md."""
     target: str | None = None
     """Box of the target, x,y,w,h in 0-based pixels of the first frame. Default: a drawn scene's own target."""
+    dry_run: bool = False
+    """Send nothing that could move the vehicle; FOLLOW is pretended, and what would be sent is recorded."""
     aim: bool = False
     """Use the box as a sight: the tracker starts again on what is in it when FOLLOW is ordered."""
     follow: bool = False

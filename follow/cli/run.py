@@ -40,6 +40,7 @@ from follow.flight.session import Start, Update, conclude, keep_flight, kept_geo
 from follow.geometry import Intrinsics
 from follow.link import Link
 from follow.link.connection import MavlinkLink, connect
+from follow.link.dry_run import DryRunLink
 from follow.link.signing import Signing
 from follow.link.tlog import Tlog
 from follow.link.transports import parse_address
@@ -58,6 +59,7 @@ from racf.tracker import warm_up
 from sim.scenarios import SCENARIOS, build_live
 
 VEHICLE_S = 30.0  # an autopilot boots in less
+DRY_S = 1e6  # in a dry run it is not asked whether the vehicle obeys
 LONG_S = 1800.0  # length of a scene's path if no end is given: a battery's time
 
 
@@ -191,7 +193,8 @@ def fly_reported(
         signing = Signing(command.signing_key) if command.signing_key else None
         starting = recording.enter_context(starting_log(command.out))
         tlog = Tlog(starting)
-        with connect(command.link, command.system_id, signing=signing, tlog=tlog) as link:
+        kind = DryRunLink if command.dry_run else MavlinkLink
+        with connect(command.link, command.system_id, signing=signing, tlog=tlog, kind=kind) as link:
             flight = prepare(command, link, refusing_early(keys, terminal.report))
             keys.refuse_early(terminal.report)
             recorder = recording.enter_context(begin_recording(command, flight.seen, starting, terminal, early))
@@ -244,6 +247,10 @@ def prepare(command: RunCommand, link: MavlinkLink, report: Notify) -> PreparedF
     report("vehicle found: measuring its message rates and reading its parameters, some 10 s")
     red = unwaived(inspect(command, link), command.waive, report)
     seen = open_camera(command, link, report)
+    if command.dry_run:
+        report("dry run: nothing that could move the vehicle is sent; fly it by hand")
+        limits = replace(seen.config.limits, disobey_after_s=DRY_S)  # it flies by hand, not what is desired
+        seen = replace(seen, config=replace(seen.config, limits=limits))
     scale, box = seen.scale, seen.target  # messages are in pixels of the source
     size = seen.lens.width * scale, seen.lens.height * scale
     if box is not None and (line := box_in(box.zoomed(scale), *size)):
@@ -297,6 +304,7 @@ def fly_prepared(
     """Build the parts and fly until the end."""
     seen = flight.seen
     operator = Operator(report, command.follow, command.rc_channel, link.client.heard, flight.red)
+    operator.watches_sticks = not command.dry_run
     target = Target(seen.lens, seen.down_rad, seen.config.target)
     recent = RecentFrames(seen.camera)
     servo, safety = Servo(seen.down_rad, seen.config.servo), Safety(seen.config.limits)

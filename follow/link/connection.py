@@ -192,8 +192,9 @@ def connect(
     system_id: int | None = None,
     signing: Signing | None = None,
     tlog: Tlog | None = None,
+    kind: type[MavlinkLink] = MavlinkLink,
 ) -> MavlinkLink:
-    """A link over `udpin:`, `udpout:`, `tcp:` or `serial:`, or with `mavsdk+` before MAVSDK's own `udpin://...`.
+    """A link of a kind over `udpin:`, `udpout:`, `tcp:` or `serial:`, or with `mavsdk+` before MAVSDK's own `udpin://...`.
 
     Raises LinkError if it cannot be opened.
     """
@@ -202,5 +203,5 @@ def connect(
             raise LinkError("MAVSDK cannot sign here: use the link without `mavsdk+`, or no key")
         from follow.link.mavsdk_transport import open_mavsdk  # noqa: PLC0415 (a large library that other links do without)
 
-        return MavlinkLink(open_mavsdk(uri, system_id), system_id, signing, tlog)
-    return MavlinkLink(open_transport(uri), system_id, signing, tlog)
+        return kind(open_mavsdk(uri, system_id), system_id, signing, tlog)
+    return kind(open_transport(uri), system_id, signing, tlog)

@@ -88,6 +88,7 @@ class Operator:
     """Called by the loop once a round for an instruction.  `see` takes each tick.
 
     `at_once` orders FOLLOW when the gate is first READY, once.  `red` lists the failed checks that forbid FOLLOW.
+    Without `watches_sticks`, in a dry run, moved sticks end nothing: the pilot flies by them.
     """
 
     report: Notify
@@ -99,6 +100,7 @@ class Operator:
     forget: Callable[[], object] = lambda: None  # called when the tracker has another target
     retargeted: bool = False
     wanted: Callable[[], Wanted] = lambda: AS_SET  # how a person wants the vehicle to fly now
+    watches_sticks: bool = True
     leaving: str = ""  # why the program must end; empty: it must not
     mode: Mode = Mode.OBSERVE
     reason: Reason | None = None
@@ -196,7 +198,7 @@ class Operator:
         healthy = self.hears_remote()
         waiting = self.reason is not None and self.reason.cause is Cause.ORDER_WAITS
         held = self.mode is Mode.ENDED and self.state.mode in HOLDING
-        reason = self.stick(self.heard, streaming or waiting or held, healthy)
+        reason = self.stick(self.heard, self.watches_sticks and (streaming or waiting or held), healthy)
         if reason is not None and not (held and reason.cause is Cause.STICK_JUMPED):
             return reason
         others = self.other_senders()

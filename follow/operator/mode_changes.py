@@ -1,10 +1,14 @@
 """What a person is told of the rounds, the same in a flight, a replay and a simulation."""
 
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, field
 
-from follow.messages import NEVER, Mode, Notify, Reason, Tick
+from follow.messages import NEVER, Cause, Mode, Notify, Reason, Tick
 from follow.safety.modes import STREAMING
 from racf.box import tiny_line
+
+SAME_EVERY_S = 10.0  # what hinders FOLLOW is repeated no sooner, whatever its figures are: it may flicker
+FIGURES = re.compile(r" \([^)]*\)")
 
 
 @dataclass(slots=True)
@@ -18,6 +22,7 @@ class ModeChanges:
     streamed: bool = False  # whether FOLLOW has begun
     ended: str = ""  # when the last stream of setpoints ended, and why; empty while one is sent, or before the first
     tiny_told: bool = False
+    hindered_t_s: dict[str, float] = field(default_factory=dict[str, float])  # when each hindrance was told
     doubt: str = ""  # who was found after a loss and is not taken, as it was told last
 
     def see(self, tick: Tick) -> None:
@@ -35,6 +40,11 @@ class ModeChanges:
             self.report(f"{at_s:.1f} s: {tick.estimate.doubt}")
         if (self.mode, self.reason) == before:
             return
+        if before[0] is Mode.OBSERVE is self.mode and self.reason.cause is Cause.NOT_READY:
+            words = FIGURES.sub("", str(self.reason))
+            if at_s - self.hindered_t_s.get(words, NEVER) < SAME_EVERY_S:
+                return
+            self.hindered_t_s[words] = at_s
         self.report(f"{at_s:.1f} s: {self.mode.value} ({self.reason}), vehicle in {tick.state.mode or 'no known mode'}")
         if self.mode in STREAMING:
             self.streamed, self.ended = True, ""

@@ -66,6 +66,10 @@ UNKNOWN = Worst(0.0, 0.0, 0.0, 0.0)
 """No target: without fresh data nothing is read from it."""
 
 
+GONE = Worst(0.0, math.inf, 0.0, 0.0)
+"""A target unseen for longer than `search_after_s` may be anywhere: the vehicle hovers, and flees from no guess."""
+
+
 def worst(estimate: Estimate, state: VehicleState, limits: Limits) -> Worst:
     """The nearest that the estimate leaves possible, by `range_sigmas` standard deviations where no bound is given."""
     near = estimate.range_m - limits.range_sigmas * estimate.range_std_m

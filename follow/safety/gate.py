@@ -24,7 +24,7 @@ from follow.messages import (
 from follow.safety.authority import Authority, Facts, judged
 from follow.safety.checks import PLAUSIBLE, Hindrance, hindrances, must_stop, stale, unseen
 from follow.safety.consistency import Consistency
-from follow.safety.distance import UNKNOWN, Sighting, Worst, distance_m, limit_closing_speed, limit_descent, worst
+from follow.safety.distance import GONE, UNKNOWN, Sighting, Worst, distance_m, limit_closing_speed, limit_descent, worst
 from follow.safety.envelope import Surroundings, limit_altitude, limit_velocity
 from follow.safety.limits import Limits
 from follow.safety.modes import FLYING, STREAMING
@@ -136,6 +136,8 @@ def decide(
     is_fresh = not old and math.isfinite(unseen_s)
     target = worst(estimate, state, limits) if is_fresh else UNKNOWN
     gate = remembered(gate, target, estimate, state, dt, is_fresh)
+    if is_fresh and unseen_s > limits.search_after_s:
+        target = GONE
     gate = replace(gate, aimed_t_s=t_s) if instruction.aimed else gate
     authority = judged(gate.authority, facts(gate, target, state, old, unseen_s, instruction, limits), limits)
     if authority.mode in STREAMING and not math.isfinite(state.yaw_rad):

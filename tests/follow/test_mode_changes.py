@@ -40,3 +40,10 @@ def test_every_change_is_one_line_with_the_time_since_the_first_round():
 )
 def test_a_flight_that_sends_nothing_at_its_end_says_since_when_and_why(rounds, early):
     assert reported(rounds)[1] == early
+
+
+def test_a_hindrance_that_flickers_with_new_figures_is_told_every_ten_seconds_at_most():
+    texts = ["the image does not move with the vehicle (0.0 of {} px): frozen", "the image does not turn ({} of 5 px)"]
+    rounds = [(Mode.OBSERVE, Reason(Cause.NOT_READY, texts[n % 2].format(n))) for n in range(60)]  # half a second each
+    lines, _ = reported(rounds)
+    assert [line.split(" ")[0] for line in lines] == ["0.0", "0.5", "10.0", "10.5", "20.0", "20.5"]

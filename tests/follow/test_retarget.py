@@ -42,6 +42,25 @@ def test_until_then_it_brakes_and_gives_up_after_the_same_time_as_for_a_lost_tar
     assert max(abs(decision.setpoint.forward_m_s) for decision in decisions) == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.parametrize("lost_s", [5.0, 19.0, 40.0])
+@pytest.mark.parametrize("range_m", [2.0, 6.0, 30.0])
+def test_from_a_target_that_may_be_anywhere_the_vehicle_does_not_flee(lost_s, range_m):
+    """In SEARCH and HOLD it hovers; a target that is seen keeps its distance at once."""
+    safety, t_s = engaged()
+    for i in range(1, round(lost_s / DT)):
+        now = t_s + i * DT
+        guess = replace(seen(now), range_m=range_m, range_std_m=20.0, range_near_m=0.0, seen_t_s=t_s)
+        decision = safety.allow(HOVER, guess, flying(now, **obeyed(safety)), now)
+        late = i * DT > LIMITS.search_after_s + 3.0
+        assert not late or abs(decision.setpoint.forward_m_s) + abs(decision.setpoint.down_m_s) < 1e-9
+    near = replace(seen(now), range_m=2.0, range_near_m=1.5, depression_rad=1.4, ground_below_m=3.0, ground_std_m=0.1)
+    for _ in range(30):
+        now += DT
+        decision = safety.allow(HOVER, replace(near, t_s=now, seen_t_s=now), flying(now, **obeyed(safety)), now)
+    assert decision.setpoint.forward_m_s < -0.5
+    assert decision.setpoint.down_m_s < -0.5
+
+
 def test_without_a_choice_an_estimate_without_a_target_is_given_up_at_once():
     safety, t_s = engaged()
     state = flying(t_s + DT, **obeyed(safety))

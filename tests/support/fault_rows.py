@@ -35,7 +35,7 @@ from tests.support.fault_expectations import (
     stops,
     within,
 )
-from tests.support.fault_rig import Outcome, Rig, outcome
+from tests.support.fault_rig import FAULT_S, Outcome, Rig, outcome
 from tests.support.link_faults import (
     ATTITUDE,
     HEARTBEAT,
@@ -247,6 +247,7 @@ def nothing(_rig: Rig) -> None:
     """No fault: the limit itself is what the row tests."""
 
 
+GIVEN_UP_S = Limits().give_up_after_s + Limits().hold_timeout_s + 5.0
 NEAR = replace(Limits(), fence_m=30.0)
 LOW = replace(Limits(), ceiling_m=11.0)
 PILOT_HAS_IT = pilot_has_it(STICK_SEEN_S)
@@ -262,6 +263,7 @@ ROWS = (
     Row("decoder error", decoder_error, STOP),
     Row("target lost", lose, HOVER, fast=True),
     Row("target lost for 1 s", lose_for(1.0), goes_on(3.0)),
+    Row("target lost until HOLD ends", lose, stops(coast(RUN_M_S)), {"end_t_s": FAULT_S + GIVEN_UP_S}),
     Row("tracker raises", tracker_raises, STOP, fast=True),
     Row("NaN box, refused by its constructor", refused, STOP),
     Row("NaN box, forged", forged(math.nan), HOVER, fast=True),
