@@ -15,11 +15,13 @@ import importlib.util
 from pathlib import Path
 
 import cv2
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from racf.kernels import compiled
+
 UInt8 = NDArray[np.uint8]
+UInt32 = NDArray[np.uint32]
 Float32 = NDArray[np.float32]
 
 TERMS = ("black", "blue", "brown", "grey", "green", "orange", "pink", "purple", "red", "white", "yellow")
@@ -110,24 +112,54 @@ def padded_table() -> Float32:
     return np.pad(table(), ((0, 0), (0, PADDED - CHANNELS)))
 
 
-@numba.njit(cache=True, fastmath=True)
-def colour_names(patch: UInt8, cell: int, names: Float32, out: Float32, first: int) -> None:
-    """Write the colour names of (3, H, W) BGR into `out[..., first:first+10]`; same as `colour_names_numpy`."""
-    rows, cols, width = out.shape[0], out.shape[1], patch.shape[2]
-    step, share = 256 // LEVELS, np.float32(1.0 / (cell * cell))
-    index, totals = np.empty(width, np.uint32), np.empty((cols, PADDED), np.float32)
+@compiled
+def colour_names(
+    patch: UInt8, cell: int, names: Float32, window: Float32, work: UInt32, out: Float32, first: int
+) -> None:
+    """Write the colour names of (3, H, W) BGR times the window into `out[..., first:first+10]`, (W/cell, H/cell, D).
+
+    Same as `colour_names_numpy` with a window of ones.  `work` (cell W,) is scratch.
+    """
+    cols, rows, width = out.shape[0], out.shape[1], work.size // cell
+    step, share, table = 256 // LEVELS, np.float32(1.0 / (cell * cell)), names.ravel()
     for row in range(rows):
-        totals[:] = 0
-        for y in range(row * cell, (row + 1) * cell):
-            b, g, r = patch[0, y], patch[1, y], patch[2, y]
+        for y in range(cell):
+            b, g, r = patch[0, row * cell + y], patch[1, row * cell + y], patch[2, row * cell + y]
+            at = work[y * width : (y + 1) * width]
             for x in range(width):
-                index[x] = (np.uint32(b[x] // step) * LEVELS + g[x] // step) * LEVELS + r[x] // step
-            for col in range(cols):
-                total = totals[col]
-                for x in range(col * cell, (col + 1) * cell):
-                    name = names[index[x]]
-                    for k in range(PADDED):
-                        total[k] += name[k]
+                at[x] = ((np.uint32(b[x] // step) * LEVELS + g[x] // step) * LEVELS + r[x] // step) * PADDED
         for col in range(cols):
-            for k in range(CHANNELS):
-                out[row, col, first + k] = totals[col, k] * share
+            # Ten numbers by name, since the compiler keeps those in registers and an array's in memory.
+            n0 = n1 = n2 = n3 = n4 = n5 = n6 = n7 = n8 = n9 = np.float32(0)
+            for y in range(cell):
+                for x in range(y * width + col * cell, y * width + (col + 1) * cell):
+                    i = work[x]
+                    n0, n1, n2, n3, n4 = (
+                        n0 + table[i],
+                        n1 + table[i + 1],
+                        n2 + table[i + 2],
+                        n3 + table[i + 3],
+                        n4 + table[i + 4],
+                    )
+                    n5, n6, n7, n8, n9 = (
+                        n5 + table[i + 5],
+                        n6 + table[i + 6],
+                        n7 + table[i + 7],
+                        n8 + table[i + 8],
+                        n9 + table[i + 9],
+                    )
+            into, weight = out[col, row, first:], share * window[col, row]
+            into[0], into[1], into[2], into[3], into[4] = (
+                n0 * weight,
+                n1 * weight,
+                n2 * weight,
+                n3 * weight,
+                n4 * weight,
+            )
+            into[5], into[6], into[7], into[8], into[9] = (
+                n5 * weight,
+                n6 * weight,
+                n7 * weight,
+                n8 * weight,
+                n9 * weight,
+            )

@@ -1,77 +1,184 @@
 """Discrete Fourier transforms as dense matrix products.
 
-Spectra are real arrays (2, H, Wf, D): real and imaginary planes, H x Wf non-redundant frequencies with Wf = W//2 + 1,
-channels last.  A filter lives on a small m x n support, so most of a transform between it and the H x W grid would
-work on zeros; two matrix products skip them, and at these sizes (H, W about 50, D = 42) they beat an FFT by far and
-tie with it even on the full grid.  Channels last makes each step one contiguous `sgemm`.
+A filter lives on a small m x n support, so most of a transform between it and the H x W grid would work on zeros;
+matrix products skip them, and at these sizes (H, W about 50, D = 42) they beat an FFT by far and are no slower on the
+full grid.
+
+Both axes count positions from the middle, so that cosines are even and sines odd in them: the sums and the differences
+of the entries at +j and -j ("folded") take one product each with a quarter of the full matrix.  Spectra stay folded:
+
+    (2, H//2 + 1, 2, W//2 + 1, D) = (P and Q, frequency down k, real and imaginary, frequency across, channel)
+
+holds X_k = P_k - i Q_k and X_-k = P_k + i Q_k, of the non-redundant half of the frequencies across.  Samples and
+filters are (W, H, D) and (n, m, D), the first axis across: a transform's first product then has one operand.  Sums and
+multiples of spectra are those of P and Q; what is not linear goes through `unfolded` and `folded`, or does the same in
+its kernel.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from racf.kernels import compiled
+
 Float32 = NDArray[np.float32]
-Complex = NDArray[np.complex128]
+Complex = NDArray[np.complex64]
 
 
 class PrunedDft:
-    """Transforms between a `rows` x `cols` grid, its centred `support` = (m, n) part, and spectra.
+    """Transforms between a `rows` x `cols` grid, its centred `support` = (m, n) part, and folded spectra.
 
     Position 0 of the transforms is the grid's middle (rows//2, cols//2): a filter and a sample that are both centred
-    there correlate to a peak at zero shift.
+    there correlate to a peak at zero shift.  Each transform returns an array of its own unless it is given `out`.
     """
 
-    def __init__(self, rows: int, cols: int, support: tuple[int, int]) -> None:
+    def __init__(self, rows: int, cols: int, support: tuple[int, int], channels: int) -> None:
         self.rows, self.cols, self.half, self.support = rows, cols, cols // 2 + 1, support
-        top, left = rows // 2 - support[0] // 2, cols // 2 - support[1] // 2
-        y, x = np.arange(rows) - rows // 2, np.arange(cols) - cols // 2
-        row_waves = np.exp(-2j * np.pi * np.outer(np.arange(rows), y) / rows)  # (H, H)
-        col_waves = np.exp(-2j * np.pi * np.outer(np.arange(self.half), x) / cols)  # (Wf, W)
-        row_support, col_support = row_waves[:, top : top + support[0]], col_waves[:, left : left + support[1]]
-        self._rows_forward, self._cols_forward = _row_step(row_waves), _col_step(col_waves)
-        self._rows_forward_support, self._cols_forward_support = _row_step(row_support), _col_step(col_support)
-        self._rows_inverse_support = np.ascontiguousarray(_row_step_back(row_support.conj().T / rows))
-        self._cols_inverse_support = np.ascontiguousarray(_col_step((col_support.T * (self.weights() / cols)).T).T)
+        self.shape = (2, rows // 2 + 1, 2, self.half, channels)  # of a spectrum
+        self._grid = _Plan(cols, rows, (cols, rows), channels)
+        self._support = _Plan(cols, rows, (support[1], support[0]), channels)
 
     def weights(self) -> NDArray[np.float64]:
-        """(Wf,): how many of the full spectrum's columns each kept one stands for."""
-        weights = np.full(self.half, 2.0)
-        weights[0] = 1.0
-        if self.cols % 2 == 0:
-            weights[-1] = 1.0
-        return weights
+        """(W//2 + 1,): how many of the full spectrum's columns each kept one stands for."""
+        return _counts(self.cols)
 
-    def forward(self, x: Float32) -> Float32:
-        """F x: (H, W, D) -> (2, H, Wf, D)."""
-        along_cols = np.matmul(self._cols_forward, x).reshape(2 * self.rows, -1)
-        return (self._rows_forward @ along_cols).reshape(2, self.rows, self.half, -1)
+    def forward(self, x: Float32, out: Float32 | None = None) -> Float32:
+        """F x: (W, H, D) -> folded spectrum."""
+        return self._grid.forward(x, np.empty(self.shape, np.float32) if out is None else out)
 
-    def forward_support(self, f: Float32) -> Float32:
-        """F P f: the spectrum (2, H, Wf, D) of a filter (m, n, D) padded with zeros."""
-        along_cols = np.matmul(self._cols_forward_support, f).reshape(2 * self.support[0], -1)
-        return (self._rows_forward_support @ along_cols).reshape(2, self.rows, self.half, -1)
+    def forward_support(self, f: Float32, out: Float32 | None = None) -> Float32:
+        """F P f: the folded spectrum of a filter (n, m, D) padded with zeros."""
+        return self._support.forward(f, np.empty(self.shape, np.float32) if out is None else out)
 
-    def inverse_support(self, g_f: Float32) -> Float32:
-        """P^T F^-1 g: the (m, n, D) part around the middle of what has the spectrum (2, H, Wf, D)."""
-        along_rows = self._rows_inverse_support @ g_f.reshape(2 * self.rows, -1)
-        return np.matmul(self._cols_inverse_support, along_rows.reshape(self.support[0], 2 * self.half, -1))
+    def inverse_support(self, g_f: Float32, out: Float32 | None = None) -> Float32:
+        """P^T F^-1 g: the (n, m, D) part around the middle of what has this folded spectrum."""
+        shape = (self.support[1], self.support[0], self.shape[-1])
+        return self._support.inverse(g_f, np.empty(shape, np.float32) if out is None else out)
 
 
-def _col_step(waves: Complex) -> Float32:
-    """(2 Wf, W): a real row of pixels -> the real parts, then the imaginary parts, of its spectrum."""
-    return np.ascontiguousarray(np.concatenate([waves.real, waves.imag]).astype(np.float32))
+def unfolded(spectrum: Float32, rows: int) -> Complex:
+    """(H, W//2 + 1, D): the frequencies down and across of a folded spectrum."""
+    p, q = (planes[:, 0] + 1j * planes[:, 1] for planes in spectrum)
+    mirrored = slice((rows - 1) // 2, 0, -1)
+    return np.concatenate([p - 1j * q, (p + 1j * q)[mirrored]]).astype(np.complex64)
 
 
-def _row_step(waves: Complex) -> Float32:
-    """Complex (K, H) product as a real one, (row, part) -> (part, frequency)."""
-    step = np.empty((2, waves.shape[0], waves.shape[1], 2), np.float32)
-    step[0, :, :, 0], step[0, :, :, 1] = waves.real, -waves.imag
-    step[1, :, :, 0], step[1, :, :, 1] = waves.imag, waves.real
-    return step.reshape(2 * waves.shape[0], 2 * waves.shape[1])
+def folded(frequencies: Complex) -> Float32:
+    """The folded spectrum of (H, W//2 + 1, D) frequencies down and across."""
+    rows = len(frequencies)
+    at = np.arange(rows // 2 + 1)
+    here, mirrored = frequencies[at], frequencies[-at % rows]
+    p, q = (here + mirrored) / 2, 1j * (here - mirrored) / 2
+    return np.stack([np.stack([part.real, part.imag], axis=1) for part in (p, q)]).astype(np.float32)
 
 
-def _row_step_back(waves: Complex) -> Float32:
-    """Complex (m, K) product as a real one, (part, frequency) -> (row, part)."""
-    step = np.empty((waves.shape[0], 2, 2, waves.shape[1]), np.float32)
-    step[:, 0, 0, :], step[:, 0, 1, :] = waves.real, -waves.imag
-    step[:, 1, 0, :], step[:, 1, 1, :] = waves.imag, waves.real
-    return step.reshape(2 * waves.shape[0], 2 * waves.shape[1])
+def _counts(size: int) -> NDArray[np.float64]:
+    counts = np.full(size // 2 + 1, 2.0)
+    counts[0] = 1.0
+    if size % 2 == 0:
+        counts[-1] = 1.0
+    return counts
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Waves:
+    """cos and sin of 2 pi k j / n, (frequencies k = 0..n//2, positions j = 0..count//2); the way back is (j, k)."""
+
+    cos: Float32
+    sin: Float32
+    cos_back: Float32
+    sin_back: Float32
+
+    @classmethod
+    def of(cls, size: int, count: int) -> "_Waves":
+        turns = np.outer(np.arange(size // 2 + 1), np.arange(count // 2 + 1)) * (2 * np.pi / size)
+        cos, sin, counted = np.cos(turns), np.sin(turns), _counts(size) / size
+        each = (cos, sin, cos.T * counted, sin.T * counted)
+        return cls(*(np.ascontiguousarray(wave, dtype=np.float32) for wave in each))
+
+
+class _Plan:
+    """Transforms between the centred (m, n) part of a grid and folded spectra, with their scratch."""
+
+    def __init__(self, cols: int, rows: int, part: tuple[int, int], channels: int) -> None:
+        n, m = part
+        self.part, self.half = part, cols // 2 + 1
+        self.across, self.down = _Waves.of(cols, n), _Waves.of(rows, m)
+        self._across_sin = np.ascontiguousarray(-self.across.sin)
+        self._lines = np.empty((2, n // 2 + 1, m * channels), np.float32)
+        self._planes = np.empty((2, self.half, m, channels), np.float32)
+        self._pairs = np.empty((2, m // 2 + 1, 2, self.half, channels), np.float32)
+
+    def forward(self, x: Float32, out: Float32) -> Float32:
+        n = self.part[0]
+        flat, middle, pairs = x.reshape(n, -1), n // 2, (n - 1) // 2
+        even, odd = self._lines
+        even[0], odd[0] = flat[middle], 0
+        after, before = flat[middle + 1 : middle + 1 + pairs], flat[middle - pairs : middle][::-1]
+        np.add(after, before, out=even[1 : pairs + 1])
+        np.subtract(after, before, out=odd[1 : pairs + 1])
+        if n % 2 == 0:  # the one at -n/2 has no partner
+            even[-1] = flat[0]
+            np.negative(flat[0], out=odd[-1])
+        planes = self._planes.reshape(2, self.half, -1)
+        np.matmul(self.across.cos, even, out=planes[0])
+        np.matmul(self._across_sin, odd, out=planes[1])
+        _fold_down(self._planes, self._pairs)
+        for waves, pair, part in zip((self.down.cos, self.down.sin), self._pairs, out, strict=True):
+            np.matmul(waves, pair.reshape(len(pair), -1), out=part.reshape(len(part), -1))
+        return out
+
+    def inverse(self, g_f: Float32, out: Float32) -> Float32:
+        n = self.part[0]
+        for waves, pair, part in zip((self.down.cos_back, self.down.sin_back), self._pairs, g_f, strict=True):
+            np.matmul(waves, part.reshape(len(part), -1), out=pair.reshape(len(pair), -1))
+        _unfold_down(self._pairs, self._planes)
+        planes = self._planes.reshape(2, self.half, -1)
+        even, odd = self._lines
+        np.matmul(self.across.cos_back, planes[0], out=even)
+        np.matmul(self.across.sin_back, planes[1], out=odd)
+        flat, middle, pairs = out.reshape(n, -1), n // 2, (n - 1) // 2
+        flat[middle] = even[0]
+        np.subtract(even[1 : pairs + 1], odd[1 : pairs + 1], out=flat[middle + 1 : middle + 1 + pairs])
+        np.add(even[pairs:0:-1], odd[pairs:0:-1], out=flat[middle - pairs : middle])
+        if n % 2 == 0:
+            np.add(even[-1], odd[-1], out=flat[0])
+        return out
+
+
+@compiled
+def _fold_down(planes: Float32, out: Float32) -> None:
+    """(2, W//2 + 1, m, D) -> sums and differences over positions +j and -j, (2, m//2 + 1, 2, W//2 + 1, D)."""
+    _, half, m, channels = planes.shape
+    middle = m // 2
+    for j in range(middle + 1):
+        for part in range(2):
+            for k in range(half):
+                before, even, odd = planes[part, k, middle - j], out[0, j, part, k], out[1, j, part, k]
+                if 0 < j < m - middle:
+                    after = planes[part, k, middle + j]
+                    for d in range(channels):
+                        even[d] = after[d] + before[d]
+                        odd[d] = after[d] - before[d]
+                else:  # the middle, and the one at -m/2, have no partner
+                    for d in range(channels):
+                        even[d] = before[d]
+                        odd[d] = -before[d]
+
+
+@compiled
+def _unfold_down(pairs: Float32, out: Float32) -> None:
+    """Even and odd sums a, b at j, (2, m//2 + 1, 2, W//2 + 1, D) -> a + b at +j, a - b at -j, (2, W//2 + 1, m, D)."""
+    _, half, m, channels = out.shape
+    middle = m // 2
+    for j in range(middle + 1):
+        for part in range(2):
+            for k in range(half):
+                even, odd, before = pairs[0, j, part, k], pairs[1, j, part, k], out[part, k, middle - j]
+                for d in range(channels):
+                    before[d] = even[d] - odd[d]
+                if 0 < j < m - middle:
+                    after = out[part, k, middle + j]
+                    for d in range(channels):
+                        after[d] = even[d] + odd[d]

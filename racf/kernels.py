@@ -1,11 +1,37 @@
-"""Announces when numba compiles this package's kernels: once for a machine and a version, then its cache has them."""
+"""How this package compiles its kernels, and what it says about it.
+
+numba compiles a kernel the first time it runs and keeps the machine code beside the source, or in the user's cache
+folder; a read-only installation without a home has neither, and compiles in each process.
+"""
 
 import logging
-from typing import Any
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
 
+import numba
 from numba.core import event
 
 LOG = logging.getLogger("racf")
+CallableT = TypeVar("CallableT", bound=Callable[..., Any])
+
+
+def compiled(function: CallableT) -> CallableT:
+    """Decorate a kernel: compiled by numba when it first runs, and cached if there is a folder for that.
+
+    Kernels take their scratch arrays as arguments: allocating within costs more to compile than all the rest.
+    """
+    options: dict[str, Any] = {"fastmath": True, "error_model": "numpy", "nogil": True}
+    try:
+        made: Any = numba.njit(cache=True, **options)(function)
+    except RuntimeError:  # numba found no folder that it may write
+        _announcer.cached = False
+        made = numba.njit(**options)(function)
+    return cast("CallableT", made)
+
+
+def inlined(function: CallableT) -> CallableT:
+    """Decorate a part of a kernel that is worth no call: it is compiled into the kernels that use it."""
+    return cast("CallableT", numba.njit(inline="always", fastmath=True, error_model="numpy")(function))
 
 
 class Announcer(event.Listener):
@@ -13,17 +39,28 @@ class Announcer(event.Listener):
 
     def __init__(self) -> None:
         self.said = False
+        self.cached = True
 
     def on_start(self, event: Any) -> None:
         """A compilation begins (loading from the cache does not count)."""
-        if not self.said and event.data["dispatcher"].py_func.__module__.startswith("racf."):
-            self.said = True
+        if self.said or not event.data["dispatcher"].py_func.__module__.startswith("racf."):
+            return
+        self.said = True
+        if self.cached:
             LOG.warning("compiling the tracker's kernels, once for this machine: this may take half a minute")
+        else:
+            LOG.warning(
+                "compiling the tracker's kernels, in each process: neither the package's folder nor a home can be "
+                "written; set NUMBA_CACHE_DIR to a folder that can"
+            )
 
     def on_end(self, event: Any) -> None:
         """Nothing to do."""
 
 
+_announcer = Announcer()
+
+
 def announce() -> None:
     """From here on, announce a compilation."""
-    event.register("numba:compile", Announcer())
+    event.register("numba:compile", _announcer)

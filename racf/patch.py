@@ -3,9 +3,10 @@
 import math
 
 import cv2
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from racf.kernels import compiled
 
 UInt8 = NDArray[np.uint8]
 UInt32 = NDArray[np.uint32]
@@ -41,45 +42,52 @@ def _read_only(image: UInt8) -> UInt8:
     return view
 
 
-@numba.njit(cache=True, fastmath=True)
-def _taps(first: float, step: float, count: int, size: int) -> tuple[UInt32, UInt32, Int32]:
-    """Both neighbours of each sampling place, kept inside 0..size-1, and the second one's weight in 1/256."""
-    # Unsigned places spare numba the check for Python's negative indices, which would keep loops from vectorising.
-    low, high, weight = np.empty(count, np.uint32), np.empty(count, np.uint32), np.empty(count, np.int32)
-    for i in range(count):
+@compiled
+def _taps(first: float, step: float, stride: int, size: int, places: UInt32, weights: Int32) -> None:
+    """Both neighbours of each sampling place, in 0..size-1, times `stride`; the second one's weight in 1/256."""
+    for i in range(weights.size):
         at = min(max(first + step * i, 0.0), size - 1.0)
         whole = int(at)
-        low[i], high[i] = whole, min(whole + 1, size - 1)
-        weight[i] = int((at - whole) * 256 + 0.5)
-    return low, high, weight
+        places[0, i], places[1, i] = whole * stride, min(whole + 1, size - 1) * stride
+        weights[i] = int((at - whole) * 256 + 0.5)
 
 
-@numba.njit(cache=True, fastmath=True)
-def bilinear(source: UInt8, first_x: float, step_x: float, first_y: float, step_y: float, out: UInt8) -> None:
+@compiled
+def bilinear(
+    source: UInt8, first_x: float, step_x: float, first_y: float, step_y: float,
+    places: UInt32, weights: Int32, line: Int32, out: UInt8,
+) -> None:  # fmt: skip
     """Sample (H, W, C) at x = first_x + j step_x, y = first_y + i step_y into (C, h, w); border pixels repeat.
 
     Axes do not mix, so each row is first blended from two source rows, then each pixel from two of its columns:
     what `cv2.remap` does with a map, without the map.  Planes, because every later loop wants one channel in a row.
+    `places`, `weights` and `line` are scratch, see `scratch`.
     """
     channels, rows, cols = out.shape
-    x_low, x_high, x_weight = _taps(first_x, step_x, cols, source.shape[1])
-    y_low, y_high, y_weight = _taps(first_y, step_y, rows, source.shape[0])
-    begin, count = x_low[0], np.int64(x_high[cols - 1]) + 1 - np.int64(x_low[0])
-    x_low -= begin
-    x_high -= begin
-    blended, line = np.empty(count * channels, np.int32), np.empty(count, np.int32)
+    # Unsigned places spare numba the check for Python's negative indices, which would keep loops from vectorising.
+    x_place, y_place, x_weight, y_weight = places[:, :cols], places[:, cols:], weights[:cols], weights[cols:]
+    _taps(first_x, step_x, channels, source.shape[1], x_place, x_weight)
+    _taps(first_y, step_y, 1, source.shape[0], y_place, y_weight)
+    begin, end = np.int64(x_place[0, 0]), np.int64(x_place[1, cols - 1]) + channels
+    for j in range(cols):
+        x_place[0, j] -= np.uint32(begin)
+        x_place[1, j] -= np.uint32(begin)
+    flat = source.reshape(source.shape[0], -1)
     for i in range(rows):
-        upper, lower = source[y_low[i], begin:].reshape(-1), source[y_high[i], begin:].reshape(-1)
-        share = y_weight[i]
-        for j in range(count * channels):
-            blended[j] = 256 * np.int32(upper[j]) + share * (np.int32(lower[j]) - np.int32(upper[j]))
+        upper, lower, share = flat[y_place[0, i], begin:end], flat[y_place[1, i], begin:end], y_weight[i]
+        for j in range(end - begin):
+            line[j] = 256 * np.int32(upper[j]) + share * (np.int32(lower[j]) - np.int32(upper[j]))
         for c in range(channels):
-            plane = out[c, i]
-            for j in range(count):
-                line[j] = blended[j * channels + c]
+            plane, from_c = out[c, i], line[c:]
             for j in range(cols):
-                left, right = line[x_low[j]], line[x_high[j]]
+                left, right = from_c[x_place[0, j]], from_c[x_place[1, j]]
                 plane[j] = (256 * left + x_weight[j] * (right - left) + 32768) >> 16
+
+
+def scratch(source: UInt8, rows: int, cols: int) -> tuple[UInt32, Int32, Int32]:
+    """What `bilinear` works with between a source and an output of this size."""
+    line = np.empty(source.shape[1] * source.shape[2], np.int32)
+    return np.empty((2, rows + cols), np.uint32), np.empty(rows + cols, np.int32), line
 
 
 def resample(
@@ -97,5 +105,5 @@ def resample(
     # Source pixel i has its middle at left + (i + 1/2) * factor; output pixel j at x + (j + 1/2) * step.
     first_x = (x + step_x / 2 - left) / factor - 0.5
     first_y = (y + step_y / 2 - top) / factor - 0.5
-    bilinear(source, first_x, step_x / factor, first_y, step_y / factor, out)
+    bilinear(source, first_x, step_x / factor, first_y, step_y / factor, *scratch(source, out_h, out_w), out)
     return out

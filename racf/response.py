@@ -1,27 +1,40 @@
 """The response map: where its peak is, and how sharp it is.  `[row, col]` in, `(x, y)` shifts out."""
 
+import functools
 import math
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from racf.kernels import compiled
+
 Float32 = NDArray[np.float32]
+Float64 = NDArray[np.float64]
 Complex64 = NDArray[np.complex64]
+Complex128 = NDArray[np.complex128]
 
 
-@numba.njit(cache=True, fastmath=True)
+@compiled
 def correlate(z_f: Float32, g_f: Float32, out: Complex64) -> None:
-    """out = sum_d z_d conj(g_d): (2, N, D) spectra -> (N,).
+    """out = sum_d z_d conj(g_d): folded spectra -> (H, W//2 + 1).
 
     The mirror of Eq. 15, so that a shift of the target has its own sign in the map.
     """
-    for n in range(z_f.shape[1]):
-        re = im = np.float32(0)
-        for k in range(z_f.shape[2]):
-            re += z_f[0, n, k] * g_f[0, n, k] + z_f[1, n, k] * g_f[1, n, k]
-            im += z_f[1, n, k] * g_f[0, n, k] - z_f[0, n, k] * g_f[1, n, k]
-        out[n] = complex(re, im)
+    rows, channels = out.shape[0], z_f.shape[4]
+    for k in range(z_f.shape[1]):
+        for n in range(z_f.shape[3]):
+            z_p, z_pi, z_q, z_qi = z_f[0, k, 0, n], z_f[0, k, 1, n], z_f[1, k, 0, n], z_f[1, k, 1, n]
+            g_p, g_pi, g_q, g_qi = g_f[0, k, 0, n], g_f[0, k, 1, n], g_f[1, k, 0, n], g_f[1, k, 1, n]
+            re1 = im1 = re2 = im2 = np.float32(0)
+            for m in range(channels):
+                a1, b1, a2, b2 = z_p[m] + z_qi[m], z_pi[m] - z_q[m], z_p[m] - z_qi[m], z_pi[m] + z_q[m]
+                c1, d1, c2, d2 = g_p[m] + g_qi[m], g_pi[m] - g_q[m], g_p[m] - g_qi[m], g_pi[m] + g_q[m]
+                re1 += a1 * c1 + b1 * d1
+                im1 += b1 * c1 - a1 * d1
+                re2 += a2 * c2 + b2 * d2
+                im2 += b2 * c2 - a2 * d2
+            out[(rows - k) % rows, n] = complex(re2, im2)
+            out[k, n] = complex(re1, im1)
 
 
 def response_map(response_f: Complex64, shape: tuple[int, int]) -> Float32:
@@ -50,29 +63,50 @@ def sharpness(response: Float32, target_cells: tuple[float, float]) -> tuple[flo
     return (peak - mean) / max(math.sqrt(max(variance, 0.0)), 1e-6), apce
 
 
-@numba.njit(cache=True, fastmath=True)
-def _slopes(response_f: Complex64, width: int, row: float, col: float) -> tuple[float, float, float, float, float]:
-    """First and second derivatives (r, c, rr, rc, cc) of the response's trigonometric interpolation, times H W."""
+@compiled
+def _slopes(response_f: Complex64, waves: Complex128, steps: Float64, out: Float64) -> None:
+    """First and second derivatives (r, c, rr, rc, cc) of the response's trigonometric interpolation, times H W.
+
+    steps (2, max): the angle per cell of each frequency down and across.  waves: e^(i angle) at the place, those across
+    times how many frequencies each stands for.
+    """
     height, half = response_f.shape
-    d_r = d_c = d_rr = d_rc = d_cc = 0.0
-    for j in range(half):
-        kx = 2 * np.pi * j / width
-        weight = 1.0 if j == 0 or 2 * j == width else 2.0
-        value, value_r, value_rr = 0.0j, 0.0j, 0.0j
-        for i in range(height):
-            # The Nyquist row of an even height has no side to lean to.
-            ky = 0.0 if 2 * i == height else 2 * np.pi * (i if 2 * i < height else i - height) / height
-            term = response_f[i, j] * complex(math.cos(ky * row), math.sin(ky * row))
-            value += term
-            value_r += 1j * ky * term
-            value_rr -= ky * ky * term
-        wave = weight * complex(math.cos(kx * col), math.sin(kx * col))
-        d_r += (value_r * wave).real
-        d_c += (value * 1j * kx * wave).real
-        d_rr += (value_rr * wave).real
-        d_rc += (value_r * 1j * kx * wave).real
-        d_cc -= (value * kx * kx * wave).real
-    return d_r, d_c, d_rr, d_rc, d_cc
+    out[:] = 0.0
+    for i in range(height):
+        ky, down = steps[0, i], waves[0, i]
+        value_re = value_im = value_c_re = value_c_im = value_cc = 0.0
+        for j in range(half):
+            kx = steps[1, j]
+            term = response_f[i, j] * waves[1, j]
+            value_re += term.real
+            value_im += term.imag
+            value_c_re += kx * term.real
+            value_c_im += kx * term.imag
+            value_cc += kx * kx * (term.real * down.real - term.imag * down.imag)
+        re, im = value_re * down.real - value_im * down.imag, value_re * down.imag + value_im * down.real
+        c_re = value_c_re * down.real - value_c_im * down.imag
+        c_im = value_c_re * down.imag + value_c_im * down.real
+        out[0] -= ky * im
+        out[1] -= c_im
+        out[2] -= ky * ky * re
+        out[3] -= ky * c_re
+        out[4] -= value_cc
+
+
+@functools.lru_cache(maxsize=16)
+def _angles(height: int, width: int) -> tuple[Float64, Float64]:
+    """(2, max) angles per cell down and across, and (W//2 + 1,) how many frequencies each across stands for."""
+    half = width // 2 + 1
+    angles = np.zeros((2, max(height, half)))
+    angles[0, :height] = 2 * np.pi * np.fft.fftfreq(height)
+    if height % 2 == 0:  # the Nyquist row of an even height has no side to lean to
+        angles[0, height // 2] = 0.0
+    angles[1, :half] = 2 * np.pi * np.arange(half) / width
+    counts = np.full(half, 2.0)
+    counts[0] = 1.0
+    if width % 2 == 0:
+        counts[-1] = 1.0
+    return angles, counts
 
 
 def refine_peak(response_f: Complex64, width: int, row: float, col: float, steps: int) -> tuple[float, float]:
@@ -81,8 +115,15 @@ def refine_peak(response_f: Complex64, width: int, row: float, col: float, steps
     row, col are shifts in cells; steps that leave the starting cell's neighbourhood are not taken.
     """
     start_row, start_col = row, col
+    (height, half), slopes = response_f.shape, np.empty(5)
+    angles, counts = _angles(height, width)
+    place = np.empty((2, 1))
     for _ in range(steps):
-        d_r, d_c, d_rr, d_rc, d_cc = _slopes(response_f, width, row, col)
+        place[:, 0] = row, col
+        waves = np.exp(1j * angles * place)
+        waves[1, :half] *= counts
+        _slopes(response_f, waves, angles, slopes)
+        d_r, d_c, d_rr, d_rc, d_cc = slopes.tolist()
         det = d_rr * d_cc - d_rc * d_rc
         if det <= 0 or d_rr >= 0:  # not a maximum here
             break

@@ -1,7 +1,8 @@
 """The one-dimensional scale filter (fDSST, Danelljan 2017): a correlation filter over 33 sizes of the target.
 
-Letters: s number of scales, d features of one scale.  num = ysᶠ conj(xsᶠ) (s, d) and den = sum_d |xsᶠ|^2 (s,) are
-running means; the response over scales is F^-1( sum_d num . zsᶠ / (den + lambda) ).
+Letters: s number of scales, d features of one scale.  num = ysᶠ conj(xsᶠ) (s//2 + 1, d) and den = sum_d |xsᶠ|^2
+(s//2 + 1,) are running means, of the non-redundant frequencies; the response over scales is
+F^-1( sum_d num . zsᶠ / (den + lambda) ).
 """
 
 import functools
@@ -11,19 +12,21 @@ from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from racf import hog
 from racf import patch as patches
 from racf.box import Box
+from racf.kernels import compiled
 from racf.params import Params
 from racf.patch import bilinear, shrunk
 
 UInt8 = NDArray[np.uint8]
 Float32 = NDArray[np.float32]
 Complex64 = NDArray[np.complex64]
+UInt32 = NDArray[np.uint32]
+Int32 = NDArray[np.int32]
 
 
 class ScaleFilter:
@@ -44,27 +47,32 @@ class ScaleFilter:
         self.factors = params.scale_step ** steps.astype(np.float64)
         sigma = params.scale_sigma * math.sqrt(count)
         label = np.exp(-0.5 * (steps / sigma) ** 2)
-        self._window = np.hanning(count + 2)[1:-1].astype(np.float32)[:, None]
         self._waves, self._waves_back = _waves(count)
-        self._label_f = (self._waves @ label).astype(np.complex64)[:, None]
+        self._label_f = _complex(self._waves @ label.astype(np.float32)[:, None])
         self._bins = hog.orientation_bins()
+        rows, cols = self.model_h // cell, self.model_w // cell
+        self._hog, self._features = (
+            hog.scratch(rows, cols, cell),
+            np.empty((count, cols, rows, hog.CHANNELS), np.float32),
+        )
+        window = np.hanning(count + 2)[1:-1].astype(np.float32)
+        self._windows = np.ascontiguousarray(np.broadcast_to(window[:, None, None], (count, cols, rows)))
         self._num: Complex64 | None = None
         self._den: Float32 | None = None
         self._at_hand: tuple[Box, Complex64] | None = None
 
     def sample(self, image: UInt8, box: Box) -> Complex64:
-        """(s, d) spectrum over scales of the target's windowed FHOG; one compiled call serves all scales."""
+        """(s//2 + 1, d) spectrum over scales of the target's windowed FHOG; one compiled call serves all scales."""
         x, y, w, h = box.centre_x, box.centre_y, box.w, box.h
         factor = max(int(min(w / self.model_w, h / self.model_h)), 1)
         reach = float(self.factors[-1])
         source, left, top = shrunk(image, (x - w * reach / 2, y - h * reach / 2, w * reach, h * reach), factor)
-        cell = self.params.cell_px
-        out = np.empty((self.params.scales, self.model_h // cell, self.model_w // cell, hog.CHANNELS), np.float32)
         patch = np.empty((source.shape[2], self.model_h, self.model_w), np.uint8)
-        _describe(source, self.factors, ((x - left) / factor, (y - top) / factor, w / factor, h / factor), cell,
-                  self._bins, patch, out)  # fmt: skip
-        features = out.reshape(self.params.scales, -1) * self._window
-        return self._waves.astype(np.complex64) @ features
+        target = ((x - left) / factor, (y - top) / factor, w / factor, h / factor)
+        room = patches.scratch(source, self.model_h, self.model_w)
+        _describe(source, self.factors, target, self.params.cell_px, self._bins, room, self._hog, self._windows, patch,
+                  self._features)  # fmt: skip
+        return _complex(self._waves @ self._features.reshape(self.params.scales, -1))
 
     def estimate(self, image: UInt8, box: Box) -> int:
         """How many steps of `scale_step` the target's size changed: the response's maximum."""
@@ -73,7 +81,7 @@ class ScaleFilter:
         sample_f = self.sample(image, box)
         self._at_hand = (box, sample_f)
         response_f = np.sum(self._num * sample_f, axis=1) / (self._den + self.params.scale_ridge)
-        response = (self._waves_back @ response_f).real
+        response = self._waves_back @ np.concatenate([response_f.real, response_f.imag])
         return int(np.argmax(response)) - self.params.scales // 2
 
     def learn(self, image: UInt8, box: Box) -> None:
@@ -82,7 +90,7 @@ class ScaleFilter:
         at_hand, self._at_hand = self._at_hand, None
         sample_f = at_hand[1] if at_hand is not None and at_hand[0] == box else self.sample(image, box)
         num = self._label_f * sample_f.conj()
-        den = np.sum(np.abs(sample_f) ** 2, axis=1)
+        den = np.sum(sample_f.real**2 + sample_f.imag**2, axis=1)
         if self._num is None or self._den is None:
             self._num, self._den = num, den
             return
@@ -98,19 +106,19 @@ def _compiled(calls: str) -> Callable[..., None]:
     they were; but what a kernel closes over belongs to its key.
     """
 
-    @numba.njit(cache=True, fastmath=True)
+    @compiled
     def describe(
         source: UInt8, factors: NDArray[np.float64], target: tuple[float, float, float, float], cell: int,
-        bins: UInt8, patch: UInt8, out: Float32,
+        bins: UInt8, room: tuple[UInt32, Int32, Int32], work: hog.Scratch, windows: Float32, patch: UInt8, out: Float32,
     ) -> None:  # fmt: skip
-        """FHOG of `target` (centre x, y, w, h) at each scale into `out` (s, rows, cols, 31); `patch` is scratch."""
+        """FHOG of `target` (centre x, y, w, h) at each scale, windowed, into `out` (s, cols, rows, 31)."""
         _ = calls
         x, y, w, h = target
         for i in range(factors.size):
             step_x, step_y = w * factors[i] / patch.shape[2], h * factors[i] / patch.shape[1]
             first_x, first_y = x - step_x * (patch.shape[2] - 1) / 2 - 0.5, y - step_y * (patch.shape[1] - 1) / 2 - 0.5
-            bilinear(source, first_x, step_x, first_y, step_y, patch)
-            hog.fhog(patch, cell, bins, out[i])
+            bilinear(source, first_x, step_x, first_y, step_y, room[0], room[1], room[2], patch)
+            hog.fhog(patch, cell, bins, work, windows[i], out[i])
 
     return describe
 
@@ -124,8 +132,24 @@ _describe = _compiled(_digest(patches, hog))
 
 
 @functools.lru_cache(maxsize=4)
-def _waves(count: int) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-    """The s x s discrete Fourier transform and its inverse; scale 1 (index s//2) is position 0."""
-    steps = np.arange(count) - count // 2
-    waves = np.exp(-2j * np.pi * np.outer(np.arange(count), steps) / count)
-    return waves, waves.conj().T / count
+def _waves(count: int) -> tuple[Float32, Float32]:
+    """Real s values to the real, then the imaginary parts of their s//2 + 1 frequencies, and the way back.
+
+    Scale 1 (index s//2) is position 0.
+    """
+    turns = np.outer(np.arange(count // 2 + 1), np.arange(count) - count // 2) * (2 * np.pi / count)
+    counted = np.full((len(turns), 1), 2 / count)
+    counted[0] = 1 / count
+    if count % 2 == 0:
+        counted[-1] = 1 / count
+    forward = np.concatenate([np.cos(turns), -np.sin(turns)])
+    back = np.concatenate([counted * np.cos(turns), -counted * np.sin(turns)]).T
+    return np.ascontiguousarray(forward, np.float32), np.ascontiguousarray(back, np.float32)
+
+
+def _complex(planes: Float32) -> Complex64:
+    """(2 k, d), real parts first -> (k, d)."""
+    half = len(planes) // 2
+    out = np.empty((half, planes.shape[1]), np.complex64)
+    out.real, out.imag = planes[:half], planes[half:]
+    return out

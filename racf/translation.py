@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from racf import response as responses
 from racf.box import Box
 from racf.features import Features
-from racf.filter import Learned, learn
+from racf.filter import Solver
 from racf.fourier import PrunedDft
+from racf.kernels import compiled
 from racf.params import Params
 from racf.patch import resample
 
@@ -33,6 +34,15 @@ class Match:
     apce: float
 
 
+@compiled
+def approach(model: Float32, sample: Float32, residue: Float32, rate: np.float32) -> None:
+    """residue = sample - model, then model += rate residue (Eq. 14), on arrays of one shape."""
+    flat, new, apart = model.ravel(), sample.ravel(), residue.ravel()
+    for i in range(flat.size):
+        apart[i] = new[i] - flat[i]
+        flat[i] += rate * apart[i]
+
+
 class TranslationFilter:
     """Learned on a target box, answers where that box went.  Sizes in cells are fixed by the first box."""
 
@@ -43,15 +53,16 @@ class TranslationFilter:
         self._features = Features(cells, cells, cell, colour)
         self._target_cells = (first.w * cells / side, first.h * cells / side)
         support = [min(max(math.floor(n), 1), cells) for n in self._target_cells]
-        self._grid = PrunedDft(cells, cells, (support[1], support[0]))
+        self._grid = PrunedDft(cells, cells, (support[1], support[0]), self._features.shape[2])
+        self._solver = Solver(self._grid, params)
         sigma = math.sqrt(self._target_cells[0] * self._target_cells[1]) * params.label_sigma
         shift = np.fft.fftfreq(cells, 1 / cells)
         label = np.exp(-0.5 * (shift[:, None] ** 2 + shift[None, :] ** 2) / sigma**2).astype(np.float32)
         label_f = np.fft.rfft2(label)
         self._label_f = np.stack([label_f.real, label_f.imag]).astype(np.float32)
         self._model_f: Float32 | None = None
-        self._sample_f: Float32 | None = None
-        self._learned: Learned | None = None
+        self._learned_f: Float32 | None = None  # the sample that was learned last, for the residue between samples
+        self._sample_f, self._residue_f = (np.zeros(self._grid.shape, np.float32) for _ in range(2))
         self._response_f: Complex64 | None = None
         self._self_response = 1.0
 
@@ -60,23 +71,23 @@ class TranslationFilter:
         side = math.sqrt(box.area) * self.params.search_area
         return Box.around(box.centre_x, box.centre_y, side, side)
 
-    def sample(self, image: UInt8, box: Box) -> Float32:
-        """(2, H, Wf, D): spectrum of the windowed features around a box."""
+    def sample(self, image: UInt8, box: Box, out: Float32 | None = None) -> Float32:
+        """Folded spectrum (see `racf.fourier`) of the windowed features around a box."""
         region, size = self.region(box), self._grid.rows * self.params.cell_px
         patch = resample(image, region.centre_x, region.centre_y, region.w, region.h, size, size)
-        return self._grid.forward(self._features.extract(patch))
+        return self._grid.forward(self._features.extract(patch), out)
 
     def _correlate(self, z_f: Float32) -> Complex64:
-        assert self._learned is not None, "learn comes before locate"
-        grid = self._grid
-        out = np.empty(grid.rows * grid.half, np.complex64)
-        responses.correlate(z_f.reshape(2, out.size, -1), self._learned.g_f.reshape(2, out.size, -1), out)
-        return out.reshape(grid.rows, grid.half)
+        learned = self._solver.learned
+        assert learned is not None, "learn comes before locate"
+        out = np.empty((self._grid.rows, self._grid.half), np.complex64)
+        responses.correlate(z_f, learned.g_f, out)
+        return out
 
     def locate(self, image: UInt8, box: Box) -> Match:
         """Look for the target in the region around `box` (its size is taken as known)."""
         grid = self._grid
-        response_f = self._correlate(self.sample(image, box))
+        response_f = self._correlate(self.sample(image, box, self._sample_f))
         response = responses.response_map(response_f, (grid.rows, grid.cols))
         row, col = (int(i) for i in np.unravel_index(int(np.argmax(response)), response.shape))
         start = float(row - grid.rows // 2), float(col - grid.cols // 2)
@@ -89,17 +100,22 @@ class TranslationFilter:
 
     def learn(self, image: UInt8, box: Box) -> None:
         """Take the target at `box` into the model and learn the filter again."""
-        params, before = self.params, self._model_f
-        sample_f = self.sample(image, box)
-        model_f = sample_f if before is None else before + np.float32(params.learning_rate) * (sample_f - before)
-        reference = before if params.residue_to_model else self._sample_f
-        residue_f = np.zeros_like(sample_f) if reference is None else sample_f - reference
+        params, residue_f = self.params, self._residue_f
+        sample_f = self.sample(image, box, self._sample_f)
+        model_f = self._model_f
+        if model_f is None:
+            model_f = self._model_f = sample_f.copy()
+        else:
+            approach(model_f, sample_f, residue_f, np.float32(params.learning_rate))
+        if not params.residue_to_model:
+            if self._learned_f is not None:
+                np.subtract(sample_f, self._learned_f, out=residue_f)
+            self._learned_f = sample_f.copy()
         label_f, gamma = self._label_f, 0.0
         if params.aberrance > 0 and self._response_f is not None:
             gamma = params.aberrance
             label_f = self._label_f + np.float32(gamma) * self._centred_response(self._response_f)
-        self._learned = learn(self._grid, params, model_f, residue_f, label_f, self._learned, gamma)
-        self._model_f, self._sample_f = model_f, sample_f
+        self._solver.learn(model_f, residue_f, label_f, gamma)
         own = self._correlate(model_f).real @ self._grid.weights()
         self._self_response = max(float(own.sum()) / (self._grid.rows * self._grid.cols), 1e-9)
 

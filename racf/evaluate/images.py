@@ -21,6 +21,29 @@ def read_frame(path: Path) -> Image:
     return np.asarray(image, dtype=np.uint8)
 
 
+class FrameCache:
+    """The decoded images of one folder, the first `max_bytes` of them: runs on one sequence follow one another."""
+
+    def __init__(self, max_bytes: int) -> None:
+        self.max_bytes = max_bytes
+        self._folder: Path | None = None
+        self._images: dict[Path, Image] = {}
+        self._bytes = 0
+
+    def read(self, path: Path) -> Image:
+        """One image, the caller's own; raises ValueError naming the file."""
+        if path.parent != self._folder:
+            self._folder, self._images, self._bytes = path.parent, {}, 0
+        image = self._images.get(path)
+        if image is not None:
+            return image.copy()
+        image = read_frame(path)
+        if self._bytes + image.nbytes <= self.max_bytes:
+            self._images[path] = image.copy()
+            self._bytes += image.nbytes
+        return image
+
+
 def frames_of(source: Path) -> Iterator[Image]:
     """The images of a folder or of a video file, in order; raises when there are none."""
     return (image for image in rows_of(source) if image is not None)

@@ -25,6 +25,15 @@ from racf.params import PRESETS, Params, preset, split_settings
 
 __all__ = ["OPENCV", "PEERS", "Peer", "TrackerSpec", "builders_of", "opencv_has"]
 
+# No box depends on these files of the package; all others count.
+UNRELATED = {
+    "cli.py", "commandline.py", "errors.py", "imagefolder.py", "orientation.py", "parallel.py", "video.py",
+    "video_writer.py",
+}  # fmt: skip
+# What the boxes of OpenCV's trackers depend on, and with the refinement: an edit of our filter leaves them as they are.
+PEER_FILES = ("box.py", "evaluate/peers.py")
+REFINING_FILES = ("patch.py", "refine.py")
+
 
 @dataclass(frozen=True, slots=True)
 class TrackerSpec:
@@ -73,14 +82,16 @@ class TrackerSpec:
 
     def fingerprint(self) -> str:
         """Changes whenever the boxes could: a digest of parameters, versions and the tracker's source."""
+        source = _source_digest()
         if self.name in OPENCV:
             refine, files = peer_settings(self.name, dict(self.settings))
-            what = f"{self.name} { ({'refine': refine}) } {digest_of(files) if files else ''}"
+            what = f"{self.name} {Params() if refine else ''} {digest_of(files) if files else ''}"
+            source = _digest(PEER_FILES + (REFINING_FILES if refine else ()))
         elif ":" in self.name:
             what = f"{self.name} {self.settings} {own.source_of(own.load(self.name))}"
         else:
             what = repr(self.params())
-        parts = (what, version("follow-me"), cv2.__version__, np.__version__, _source_digest())
+        parts = (what, version("follow-me"), cv2.__version__, np.__version__, source)
         return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
 
 
@@ -119,8 +130,13 @@ def _builder(label: str | None, what: Any, settings: list[str]) -> TrackerBuilde
 
 def _source_digest() -> str:
     """Digest of the tracker's own files (not of this package, which only runs it)."""
+    names = (path.name for path in Path(racf.__file__).parent.glob("*.py"))
+    return _digest(name for name in names if name not in UNRELATED)
+
+
+def _digest(names: Iterable[str]) -> str:
+    """Of these files below the package's folder."""
     digest = hashlib.sha256()
-    for path in sorted(Path(racf.__file__).parent.glob("*.py")):
-        if path.name not in {"cli.py", "commandline.py", "errors.py", "imagefolder.py"}:
-            digest.update(path.read_bytes())
+    for name in sorted(names):
+        digest.update((Path(racf.__file__).parent / name).read_bytes())
     return digest.hexdigest()

@@ -9,19 +9,24 @@ from racf.features import Features
 
 
 @pytest.mark.parametrize("channels", [1, 3])
-@pytest.mark.parametrize("size", [(24, 32), (40, 20)])
-def test_compiled_fhog_equals_the_numpy_equations(channels, size):
+@pytest.mark.parametrize(("size", "cell"), [((24, 32), 4), ((40, 20), 4), ((18, 27), 3), ((20, 25), 5), ((12, 8), 2)])
+def test_compiled_fhog_equals_the_numpy_equations(channels, size, cell):
     pixels = np.random.default_rng(0).integers(0, 256, (channels, *size), dtype=np.uint8)
-    out = np.empty((size[0] // 4, size[1] // 4, hog.CHANNELS), np.float32)
-    hog.fhog(pixels, 4, hog.orientation_bins(), out)
-    np.testing.assert_allclose(out, hog.fhog_numpy(pixels, 4), atol=1e-4)
+    rows, cols = size[0] // cell, size[1] // cell
+    work, window = hog.scratch(rows, cols, cell), np.random.default_rng(1).random((cols, rows), dtype=np.float32)
+    out = np.empty((cols, rows, hog.CHANNELS), np.float32)
+    for _ in range(2):  # the scratch leaves nothing behind
+        hog.fhog(pixels, cell, hog.orientation_bins(), work, window, out)
+    expected = hog.fhog_numpy(pixels, cell).transpose(1, 0, 2) * window[..., None]
+    np.testing.assert_allclose(out, expected, atol=1e-4)
 
 
 def test_compiled_colour_names_equal_the_numpy_equation():
     pixels = np.random.default_rng(0).integers(0, 256, (3, 24, 32), dtype=np.uint8)
-    out = np.empty((6, 8, colornames.CHANNELS), np.float32)
-    colornames.colour_names(pixels, 4, colornames.padded_table(), out, 0)
-    np.testing.assert_allclose(out, colornames.colour_names_numpy(pixels, 4, colornames.table()), atol=1e-5)
+    out, window = np.empty((8, 6, colornames.CHANNELS + 2), np.float32), np.full((8, 6), 0.5, np.float32)
+    colornames.colour_names(pixels, 4, colornames.padded_table(), window, np.empty(4 * 32, np.uint32), out, 2)
+    expected = colornames.colour_names_numpy(pixels, 4, colornames.table()).transpose(1, 0, 2) / 2
+    np.testing.assert_allclose(out[..., 2:], expected, atol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -62,7 +67,7 @@ def test_a_flat_patch_has_no_gradients_and_grey_has_no_colour_channels():
 def test_compiled_resampling_equals_opencv(step, first):
     image = np.random.default_rng(1).integers(0, 256, (40, 50, 3), dtype=np.uint8)
     out = np.empty((3, 16, 20), np.uint8)
-    patch.bilinear(image, first[0], step[0], first[1], step[1], out)
+    patch.bilinear(image, first[0], step[0], first[1], step[1], *patch.scratch(image, 16, 20), out)
     map_x, map_y = np.meshgrid(first[0] + step[0] * np.arange(20), first[1] + step[1] * np.arange(16))
     expected = cv2.remap(
         image.astype(np.float32), map_x.astype(np.float32), map_y.astype(np.float32), cv2.INTER_LINEAR,

@@ -11,8 +11,8 @@ import racf
 ONE_KERNEL = """
 import numpy as np
 import racf.tracker
-from racf.features import _apply_window
-_apply_window(np.ones((2, 2, 3), np.float32), np.ones((2, 2), np.float32))
+from racf.translation import approach
+approach(*np.ones((3, 2, 2), np.float32), np.float32(0.5))
 """
 
 
@@ -57,3 +57,31 @@ def test_an_edit_of_another_kernels_file_leaves_no_stale_machine_code(tmp_path):
     assert "CLIP = 0.2" in source
     hog.write_text(source.replace("CLIP = 0.2", "CLIP = 0.1"))
     assert features() != before
+
+
+UNCACHED = """
+import numpy as np
+from racf import Box, Racf
+image = np.random.default_rng(0).integers(0, 256, (60, 60, 3), dtype=np.uint8)
+tracker = Racf("racf-,scales=3,sample_max_px=16,sample_min_px=16")
+tracker.init(image, Box(20, 20, 20, 20))
+print(tracker.update(image).box.w > 0)
+"""
+
+
+def test_an_install_that_cannot_be_written_without_a_home_runs_and_says_in_one_line_that_it_compiles_each_time(
+    tmp_path,
+):
+    shutil.copytree(Path(racf.__file__).parent, tmp_path / "racf", ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("home", "racf/__pycache__"):  # a file, since root may write into every folder
+        (tmp_path / name).touch()
+    environment = {key: value for key, value in os.environ.items() if not key.startswith(("NUMBA_", "XDG_"))}
+    environment |= {"PYTHONDONTWRITEBYTECODE": "1", "HOME": str(tmp_path / "home" / "none")}
+    command = [sys.executable, "-c", UNCACHED]
+    run = subprocess.run(
+        command, env=environment, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=120
+    )
+    assert run.returncode == 0, run.stderr
+    assert run.stdout == "True\n"
+    assert run.stderr.count("\n") == 1
+    assert "NUMBA_CACHE_DIR" in run.stderr

@@ -46,40 +46,43 @@ class Seen:
                     self._patch.setattr(module, attribute, counted)
 
 
+SPECTRUM = "2 K 2 {self.half} D"  # folded: K = H//2 + 1
+
+
 def forward(f: Any) -> Any:
-    def forward(self: Any, x: Float32[Array, "H W D"]) -> Float32[Array, "2 H {self.half} D"]:
-        return f(self, x)
+    def forward(self: Any, x: Float32[Array, "W H D"], out: Any = None) -> Float32[Array, SPECTRUM]:
+        return f(self, x, out)
 
     return forward
 
 
 def forward_support(f: Any) -> Any:
-    def forward_support(self: Any, g: Float32[Array, "m n D"]) -> Float32[Array, "2 {self.rows} {self.half} D"]:
-        return f(self, g)
+    def forward_support(
+        self: Any, g: Float32[Array, "{self.support[1]} {self.support[0]} D"], out: Any = None
+    ) -> Float32[Array, SPECTRUM]:
+        return f(self, g, out)
 
     return forward_support
 
 
 def inverse_support(f: Any) -> Any:
     def inverse_support(
-        self: Any, g_f: Float32[Array, "2 H F D"]
-    ) -> Float32[Array, "{self.support[0]} {self.support[1]} D"]:
-        return f(self, g_f)
+        self: Any, g_f: Float32[Array, SPECTRUM], out: Any = None
+    ) -> Float32[Array, "{self.support[1]} {self.support[0]} D"]:
+        return f(self, g_f, out)
 
     return inverse_support
 
 
 def learn(f: Any) -> Any:
     def learn(
-        grid: Any,
-        params: Any,
-        x_f: Float32[Array, "2 H F D"],
-        residue_f: Float32[Array, "2 H F D"],
-        y_f: Float32[Array, "2 H F"],
-        previous: Any,
+        self: Any,
+        x_f: Float32[Array, "2 K 2 F D"],
+        residue_f: Float32[Array, "2 K 2 F D"],
+        y_f: Float32[Array, "2 {self.grid.rows} F"],
         aberrance: float = 0.0,
     ) -> Any:
-        learned = f(grid, params, x_f, residue_f, y_f, previous, aberrance)
+        learned = f(self, x_f, residue_f, y_f, aberrance)
         assert learned.f_f.shape == learned.g_f.shape == x_f.shape
         return learned
 
@@ -111,7 +114,7 @@ def resample(f: Any) -> Any:
 
 def extract(f: Any) -> Any:
     def extract(
-        self: Any, patch: UInt8[Array, "C {self.shape[0]*self.cell} {self.shape[1]*self.cell}"]
+        self: Any, patch: UInt8[Array, "C {self.shape[1]*self.cell} {self.shape[0]*self.cell}"]
     ) -> Float32[Array, "{self.shape[0]} {self.shape[1]} {self.shape[2]}"]:
         return f(self, patch)
 
@@ -119,7 +122,9 @@ def extract(f: Any) -> Any:
 
 
 def scale_sample(f: Any) -> Any:
-    def sample(self: Any, image: UInt8[Array, "rows cols *C"], box: Box) -> Complex64[Array, "{self.params.scales} d"]:
+    def sample(
+        self: Any, image: UInt8[Array, "rows cols *C"], box: Box
+    ) -> Complex64[Array, "{self.params.scales//2+1} d"]:
         return f(self, image, box)
 
     return sample
@@ -143,7 +148,7 @@ WRAPPED = [
     (fourier.PrunedDft, "forward", forward),
     (fourier.PrunedDft, "forward_support", forward_support),
     (fourier.PrunedDft, "inverse_support", inverse_support),
-    (filter, "learn", learn),
+    (filter.Solver, "learn", learn),
     (filter, "bowl_weight", bowl),
     (response, "response_map", response_map),
     (response, "sharpness", sharpness),
@@ -175,9 +180,9 @@ def test_arrays_have_the_shapes_that_the_docstrings_say(name, colour, box, monke
 def test_a_wrong_shape_is_seen(monkeypatch):
     seen = Seen(monkeypatch)
     seen.wrap(fourier.PrunedDft, "forward", forward)
-    grid = fourier.PrunedDft(10, 12, (4, 4))
-    assert grid.forward(np.zeros((10, 12, 3), np.float32)).shape == (2, 10, 7, 3)
+    grid = fourier.PrunedDft(10, 12, (4, 4), 3)
+    assert grid.forward(np.zeros((12, 10, 3), np.float32)).shape == (2, 6, 2, 7, 3)
     with pytest.raises(Exception, match=r"(?i)type-check"):
-        grid.forward(np.zeros((10, 12), np.float32))
+        grid.forward(np.zeros((12, 10), np.float32))
     with pytest.raises(Exception, match=r"(?i)type-check"):
-        grid.forward(np.zeros((10, 12, 3), np.float64))
+        grid.forward(np.zeros((12, 10, 3), np.float64))

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import scipy.fft
 
-from racf.filter import Learned, bowl_weight, learn, solve_g, solve_rank_two_numpy
-from racf.fourier import PrunedDft
+from racf.filter import Learned, Solver, bowl_weight, solve_g, solve_rank_two_numpy
+from racf.fourier import PrunedDft, folded, unfolded
 from racf.params import Params
 from racf.response import refine_peak
 
@@ -17,6 +17,11 @@ ROWS, COLS, CHANNELS, SUPPORT = 9, 12, 3, (4, 5)
 
 def planes(z: np.ndarray) -> np.ndarray:
     return np.stack([z.real, z.imag]).astype(np.float32)
+
+
+def across_first(x: np.ndarray) -> np.ndarray:
+    """(rows, columns, D) <-> (columns, rows, D)."""
+    return np.ascontiguousarray(x.swapaxes(0, 1))
 
 
 def random_planes(rng, *shape) -> np.ndarray:
@@ -28,22 +33,22 @@ def centred_rfft2(x: np.ndarray) -> np.ndarray:
     return scipy.fft.rfft2(scipy.fft.ifftshift(x, axes=(0, 1)), axes=(0, 1))
 
 
-@pytest.fixture
-def grid() -> PrunedDft:
-    return PrunedDft(ROWS, COLS, SUPPORT)
-
-
 @pytest.mark.parametrize("size", [(9, 12), (12, 9), (10, 10), (7, 7)])
-def test_dense_transforms_equal_an_fft(size):
+@pytest.mark.parametrize("support", [(4, 5), (5, 4), (1, 1), (7, 7)])
+def test_dense_transforms_equal_an_fft(size, support):
     rng = np.random.default_rng(0)
-    grid = PrunedDft(*size, (4, 5))
+    grid = PrunedDft(*size, support, CHANNELS)
     x = rng.normal(size=(*size, CHANNELS)).astype(np.float32)
-    np.testing.assert_allclose(grid.forward(x), planes(centred_rfft2(x)), atol=1e-4)
-    top, left = size[0] // 2 - 2, size[1] // 2 - 2
-    padded = np.zeros_like(x)
-    padded[top : top + 4, left : left + 5] = f = x[:4, :5]
-    np.testing.assert_allclose(grid.forward_support(f), planes(centred_rfft2(padded)), atol=1e-4)
-    np.testing.assert_allclose(grid.inverse_support(grid.forward(x)), x[top : top + 4, left : left + 5], atol=1e-4)
+    x_f = grid.forward(across_first(x))
+    np.testing.assert_allclose(unfolded(x_f, size[0]), centred_rfft2(x), atol=1e-4)
+    np.testing.assert_allclose(folded(unfolded(x_f, size[0])), x_f, atol=1e-4)
+    (m, n), padded = support, np.zeros_like(x)
+    part = np.s_[size[0] // 2 - m // 2 :, size[1] // 2 - n // 2 :]
+    padded[part][:m, :n] = f = x[:m, :n]
+    np.testing.assert_allclose(
+        unfolded(grid.forward_support(across_first(f)), size[0]), centred_rfft2(padded), atol=1e-4
+    )
+    np.testing.assert_allclose(across_first(grid.inverse_support(x_f)), x[part][:m, :n], atol=1e-4)
 
 
 def test_two_sherman_morrisons_equal_a_dense_solve():
@@ -58,19 +63,24 @@ def test_two_sherman_morrisons_equal_a_dense_solve():
 
 
 @pytest.mark.parametrize("gain", [1.0, 1.71])
-def test_the_compiled_step_equals_the_numpy_equation(gain):
+@pytest.mark.parametrize("rows", [6, 7])
+def test_the_compiled_step_equals_the_numpy_equation(gain, rows):
     rng = np.random.default_rng(2)
-    x, d, f, u = (random_planes(rng, 6, CHANNELS) for _ in range(4))
-    y = random_planes(rng, 6)
+    # A real row's frequencies, as spectra of real samples have: those at 0 and at half the rows have no partner.
+    x, d, f, u = (
+        planes(rng.normal(size=(rows, 4, CHANNELS)) + 1j * rng.normal(size=(rows, 4, CHANNELS))) for _ in "xdfu"
+    )
+    y = random_planes(rng, rows, 4)
     eta, before, mu = 0.9, 0.5, 3.0
     zeta = u - before * f
     yx = (y[0] + 1j * y[1])[..., None] * (x[0] + 1j * x[1])
     scaled_x = x * np.float32(np.sqrt(gain))
     expected = solve_rank_two_numpy(scaled_x, d, planes(yx) + mu * f - zeta, eta, mu)
-    g = np.empty_like(u)
-    solve_g(x, d, y, f, u, g, np.float32(eta), np.float32(before), np.float32(mu), np.float32(gain))
-    np.testing.assert_allclose(g, expected, rtol=1e-3, atol=1e-4)
-    np.testing.assert_allclose(u, mu * expected + zeta, rtol=1e-3, atol=1e-3)
+    x_f, d_f, f_f, u_f = (folded(z[0] + 1j * z[1]) for z in (x, d, f, u))
+    g_f = np.empty_like(u_f)
+    solve_g(x_f, d_f, y, f_f, u_f, g_f, np.float32(eta), np.float32(before), np.float32(mu), np.float32(gain))
+    np.testing.assert_allclose(planes(unfolded(g_f, rows)), expected, rtol=1e-3, atol=1e-4)
+    np.testing.assert_allclose(planes(unfolded(u_f, rows)), mu * expected + zeta, rtol=1e-3, atol=1e-3)
 
 
 class Problem:
@@ -111,12 +121,15 @@ class Problem:
         return float(0.5 * f.ravel() @ matrix @ f.ravel() - right @ f.ravel())
 
     def solve(self, iterations: int, growth: float, *, warm: bool = True) -> np.ndarray:
-        grid = PrunedDft(ROWS, COLS, SUPPORT)
+        grid = PrunedDft(ROWS, COLS, SUPPORT, CHANNELS)
         params = dataclasses.replace(self.params, admm_iterations=iterations, penalty_growth=growth, warm_start=warm)
         y_f = planes(scipy.fft.rfft2(self.y))
-        x_f, d_f = grid.forward(self.x), grid.forward(self.delta)
-        f_f = grid.forward_support(self.previous)
-        return learn(grid, params, x_f, d_f, y_f, Learned(self.previous, f_f, np.zeros_like(f_f))).filter
+        x_f, d_f = grid.forward(across_first(self.x)), grid.forward(across_first(self.delta))
+        previous = across_first(self.previous)
+        f_f = grid.forward_support(previous)
+        solver = Solver(grid, params)
+        solver.learned = Learned(previous, f_f, np.zeros_like(f_f))
+        return across_first(solver.learn(x_f, d_f, y_f).filter)
 
 
 @pytest.mark.parametrize("warm", [True, False])

@@ -182,7 +182,7 @@ def measure(
     labels: Iterable[str], sequences: list[Sequence], out: Path | None, jobs: int, dask: str | None
 ) -> dict[str, Figures]:
     """Run what is not in `out` yet."""
-    specs = {label: TrackerSpec.parse(label) for label in labels}
+    specs = {(spec := TrackerSpec.parse(text)).label: spec for text in labels}
     for spec in specs.values():
         spec.check()
     work = [task for spec in specs.values() for sequence in sequences for task in todo(spec, sequence)]
@@ -249,8 +249,9 @@ def main() -> None:
     ]  # fmt: skip
     labels = list(dict.fromkeys([args.against, *asked]))
     measured = measure(labels, sequences, args.out, args.jobs, args.dask)
+    against = TrackerSpec.parse(args.against).label
     shown = {AUTHORS: authors(args.data, sequences, "RACF"), **measured}
-    print(table(shown, measured[args.against], args.against))
+    print(table(shown, measured[against], against))
     if not args.tracker:
         print("\n" + claims(shown))
         for title, family in FAMILIES.items():
