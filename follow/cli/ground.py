@@ -86,7 +86,9 @@ def ground_side(
     camera = GroundCamera(size, consoles.choose, stream, command.ground_delay_s, signing)
     camera.address(link.client.vehicle_id or 1)
     heard = video.hear_stations if video is not None else None
-    ground = GroundSide(link, camera, consoles, PilotTexts(link.client), direct, heard)
+    texts = PilotTexts(link.client)
+    consoles.tell = texts.say
+    ground = GroundSide(link, camera, consoles, texts, direct, heard)
     link.listeners.append(ground.hear)
     return ground
 

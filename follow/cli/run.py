@@ -46,6 +46,7 @@ from follow.link.tlog import Tlog
 from follow.link.transports import parse_address
 from follow.messages import Autopilot, Notify, Tick
 from follow.operator.authority import Keys, Operator
+from follow.operator.autopilot_texts import AutopilotTexts
 from follow.operator.page.exchange import Exchange
 from follow.operator.terminal import Terminal
 from follow.recording.exact import Setup
@@ -305,6 +306,7 @@ def fly_prepared(
     seen = flight.seen
     operator = Operator(report, command.follow, command.rc_channel, link.client.heard, flight.red)
     operator.watches_sticks = not command.dry_run
+    link.listeners.append(AutopilotTexts(report).hear)
     target = Target(seen.lens, seen.down_rad, seen.config.target)
     recent = RecentFrames(seen.camera)
     servo, safety = Servo(seen.down_rad, seen.config.servo), Safety(seen.config.limits)

@@ -62,6 +62,9 @@ TRIMS = (
 )
 
 
+PILOTS = (ConsoleCommand.FOLLOW, ConsoleCommand.CONFIRM, ConsoleCommand.SPOTLIGHT, ConsoleCommand.HOLD)
+"""Orders whose refusal the pilot is told also, wherever they came from."""
+
 NOTHING = TrackingStatus(TrackingState.IDLE, None, NEVER)
 
 
@@ -86,6 +89,7 @@ class Consoles:
     report: Notify
     standoff_m: float = 12.0
     follows: bool = False
+    tell: Notify = lambda _text: None  # a short text for the pilot
     commander: str = ""
     wanted: Wanted = AS_SET
     heard_t_s: dict[str, float] = field(default_factory=dict[str, float])
@@ -167,6 +171,7 @@ class Consoles:
             return why
         self.drawn_t_s, self.proposed_t_s = self.t_s, NEVER
         self.report(f"target selected by {choice.by}")
+        self.tell("target selected")
         if self.mode in FLYING:
             self.wanted = Wanted(mode=SPOTLIGHT)
         if self.follows:
@@ -178,6 +183,10 @@ class Consoles:
         """Give an order of a console; the reply says what became of it."""
         reply = self._order(command, by)
         self.report(f"{by}: {command.value}: {reply.words}")
+        if command is ConsoleCommand.CONFIRM and reply.done:
+            self.tell("confirmed")
+        elif not reply.done and command in PILOTS:
+            self.tell(f"{command.value}: {reply.words}")
         return reply
 
     def _order(self, command: ConsoleCommand, by: str) -> Reply:

@@ -105,12 +105,34 @@ class PilotTexts:
             self.pilot.tell(PREFIX + text, severity)
 
 
+SHORT = {
+    Cause.OBSERVE_ORDERED: "stopped by {what}",
+    Cause.STICK: "your stick moved, you fly",
+    Cause.JOYSTICK: "your stick moved, you fly",
+    Cause.STICK_JUMPED: "a stick jumped to its end",
+    Cause.IGNORED: "the autopilot does not obey",
+    Cause.MODE_LEFT: "ended, mode is {what}",
+    Cause.DISARMED: "ended, disarmed",
+    Cause.HOLD_OVER: "ended, nobody took over",
+    Cause.LANDED: "ended, on the ground",
+    Cause.BATTERY: "battery {what}, stops",
+    Cause.REMOTE_LOST: "remote control lost, stops",
+    Cause.NOT_OBEYING: "vehicle does not obey, stops",
+    Cause.OUT_OF_REACH: "target out of reach",
+}
+"""What the pilot reads of causes whose sentence is too long for two seconds."""
+
+
 def sentence(tick: Tick) -> str:
     """What happens, and why if that says more."""
     decision = tick.decision
     says, cause = SAYS[decision.mode], decision.reason.cause
     if cause in QUIET:
         return says
+    if cause is Cause.REFUSED:
+        return f"{decision.reason.what.removeprefix('the autopilot ')}"
+    if cause in SHORT:
+        return SHORT[cause].format(what=decision.reason.what)
     if decision.mode is Mode.OBSERVE and cause in (Cause.ORDER_REFUSED, Cause.ORDER_VOID, Cause.ORDER_WAITS):
         says = {Cause.ORDER_REFUSED: "refused", Cause.ORDER_VOID: "order void", Cause.ORDER_WAITS: "waits"}[cause]
         return f"{says}: {decision.reason.what}"

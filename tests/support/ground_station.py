@@ -27,6 +27,7 @@ class GroundStation:
     texts: list[str] = field(default_factory=list)
     errors: list[str] = field(default_factory=list)
     waiting: dict[int, float] = field(default_factory=dict)
+    log: list[tuple[float, str]] = field(default_factory=list)
 
     def __post_init__(self):
         self.mav = dialect.MAVLink(None, srcSystem=self.system_id, srcComponent=190)
@@ -46,6 +47,7 @@ class GroundStation:
             self.ask(QUESTIONS[0], t_s)
         if component != self.camera:
             return
+        self.log.append((t_s, f"<- {words(message)}"))
         self.heard[kind] = message
         if kind == "CAMERA_INFORMATION":
             for question in QUESTIONS[1:]:
@@ -92,6 +94,8 @@ class GroundStation:
         message = dialect.MAVLink_command_long_message(1, self.camera, command, 0, *numbers)
         self.out.append(message.pack(self.mav))
         self.waiting[command] = t_s
+        shown = " ".join(f"{number:.4g}" for number in params)
+        self.log.append((t_s, f"-> {name('MAV_CMD', command)} {shown}"))
 
     def heartbeat(self) -> bytes:
         return dialect.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(self.mav)
@@ -99,3 +103,30 @@ class GroundStation:
     def take(self) -> list[bytes]:
         out, self.out = self.out, []
         return out
+
+
+SHOWN = {
+    "CAMERA_INFORMATION": ("flags", "resolution_h", "resolution_v"),
+    "CAMERA_SETTINGS": ("mode_id",),
+    "VIDEO_STREAM_INFORMATION": ("type", "uri", "encoding", "framerate", "resolution_h", "resolution_v", "bitrate"),
+    "CAMERA_CAPTURE_STATUS": ("image_status", "video_status"),
+    "STORAGE_INFORMATION": ("storage_count", "status"),
+    "STATUSTEXT": ("text",),
+}
+"""What a transcript shows of each message; of others only the name."""
+
+
+def name(kind: str, number: int) -> str:
+    entry = dialect.enums[kind].get(number)
+    return entry.name.removeprefix("MAV_CMD_").removeprefix("MAV_RESULT_") if entry else str(number)
+
+
+def words(message) -> str:
+    kind = message.get_type()
+    if kind == "COMMAND_ACK":
+        return f"COMMAND_ACK {name('MAV_CMD', message.command)}: {name('MAV_RESULT', message.result)}"
+    if kind == "CAMERA_TRACKING_IMAGE_STATUS":
+        box = message.rec_top_x, message.rec_top_y, message.rec_bottom_x, message.rec_bottom_y
+        corners = " ".join(f"{share:.3f}" for share in box)
+        return f"CAMERA_TRACKING_IMAGE_STATUS status {message.tracking_status}, rectangle {corners}"
+    return " ".join([kind, *(f"{field} {getattr(message, field)}" for field in SHOWN.get(kind, ()))])

@@ -54,7 +54,7 @@ class PageDesk:
         self._times: deque[tuple[int, float]] = deque(maxlen=FRAMES)
         self._frame: Frame | None = None
         self._status: TrackingStatus | None = None
-        self._said_t_s = self._path_t_s = NEVER
+        self._path_t_s = NEVER
         exchange.is_flying = True
 
     def see(self, tick: Tick) -> None:
@@ -66,10 +66,6 @@ class PageDesk:
             self._consoles.hears(window)
         for act in self._exchange.taken(ACTS):
             self._heed(act)
-        state = tick.state
-        if state.said_t_s > self._said_t_s:
-            self._said_t_s = state.said_t_s
-            self._exchange.say(f"autopilot: {state.said}")
         status = self._status
         self._exchange.put(
             Shown(
