@@ -53,6 +53,7 @@ faults: setup
 	$(BIN)/python -m tools.faults
 	$(BIN)/python -m tools.fuzz.gate --rounds 1000000
 	$(BIN)/python -m tools.fuzz.inputs --seconds 60
+	$(BIN)/python -m tools.fuzz.page --seconds 60
 	$(BIN)/python -m benchmarks.setpoint_timing --seconds 60
 	FOLLOW_RUN_S=60 $(BIN)/python -m pytest tests/follow/test_follow_run.py
 

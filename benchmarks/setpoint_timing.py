@@ -1,6 +1,7 @@
 """When setpoints arrive: `follow run` at 30 frames/s, recording, against `python -m sim.autopilot` over UDP.
 
     python -m benchmarks.setpoint_timing --seconds 60 [--autopilot ardupilot] [--let-cores-sleep] [--disk-stall 5]
+    python -m benchmarks.setpoint_timing --watchers 10 --clicks 1000
 
 A relay between the two notes when each setpoint passes.  Prints the intervals and the time from a frame to its
 setpoint; exits 1 when their p99 is above 60 ms or one is above 150 ms.  It also prints how much of this machine's
@@ -8,6 +9,7 @@ time its host gave to others, and the intervals during which it gave none: on a 
 The cores are kept awake by processes of the lowest priority, for a virtual machine that sleeps is woken late; a real
 one has its governor at performance (docs/service).
 
+With `--watchers` and `--clicks` the operator's page is on, and another process loads it (`benchmarks.page_load`).
 With `--disk-stall` the recording goes to a file system of its own that is frozen for this many seconds in the middle of
 the measurement: every write to it waits (needs root, mkfs.ext4 and fsfreeze).
 """
@@ -33,8 +35,10 @@ from numpy.typing import NDArray
 ROOT = Path(__file__).parents[1]
 os.environ["MAVLINK20"] = "1"
 
+from follow.messages import Autopilot  # noqa: E402
+from sim.scenarios import SCENARIOS, build  # noqa: E402
 from tests.support.machine import awake, processor_ticks, stolen  # noqa: E402
-from tests.support.real_flight import real_flight  # noqa: E402
+from tests.support.real_flight import free_ports, real_flight  # noqa: E402
 
 P99_MS, LARGEST_MS = 60.0, 150.0
 WATCH_S = 0.01  # as fine as the system counts its host's time
@@ -91,6 +95,16 @@ def frozen(mount: Path, after_s: float, seconds: float) -> Iterator[list[float]]
         thread.join()
 
 
+@contextlib.contextmanager
+def loaded(page: str, options: argparse.Namespace) -> Iterator[None]:
+    """Another process that opens windows of the page and clicks into it."""
+    numbers = ("--watchers", options.watchers, "--clicks", options.clicks, "--seconds", options.seconds)
+    words = [sys.executable, "-m", "benchmarks.page_load", page, *map(str, numbers)]
+    with subprocess.Popen(words) as load:
+        yield
+        load.wait()
+
+
 def undisturbed(times: list[float], readings: Readings) -> NDArray[np.bool_]:
     """Of each interval between `times`, whether the host took nothing from two readings before it to two after it."""
     when, taken = np.array([t for t, _ in readings]), np.array([ticks for _, ticks in readings])
@@ -105,6 +119,8 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--autopilot", choices=("px4", "ardupilot"), default="px4")
     parser.add_argument("--let-cores-sleep", action="store_true")
+    parser.add_argument("--watchers", type=int, default=0, help="windows of the page")
+    parser.add_argument("--clicks", type=float, default=0.0, help="into the page, 1/s")
     parser.add_argument("--disk-stall", type=float, default=0.0, metavar="SECONDS")
     options = parser.parse_args()
     with contextlib.ExitStack() as stack:
@@ -113,8 +129,15 @@ def main() -> int:
             stack.enter_context(awake())
         if options.disk_stall:
             out = str(stack.enter_context(own_disk(Path(out))))
-        with real_flight(options.autopilot, Path(out), options=["--seconds", "600"]) as real:
+        flags, page = ["--seconds", "600"], ""
+        if options.watchers or options.clicks:
+            page = f"127.0.0.1:{free_ports(1)[0]}"
+            box = build(SCENARIOS["walker"], 0, Autopilot(options.autopilot))[0].first()[1]
+            flags += ["--page", page, "--target", f"{box.x:.0f},{box.y:.0f},{box.w:.0f},{box.h:.0f}"]
+        with real_flight(options.autopilot, Path(out), options=flags) as real:
             real.order()
+            if page:
+                stack.enter_context(loaded(page, options))
             began, ticks = time.monotonic(), processor_ticks()
             stall = (
                 frozen(Path(out), options.seconds / 3, options.disk_stall) if options.disk_stall else nullcontext([])

@@ -61,9 +61,11 @@ def open_page(
 
 
 @contextlib.contextmanager
-def desk_of(exchange: Exchange, consoles: Consoles, out: Path) -> Generator[PageDesk, None, None]:
-    """The loop's side of the page while a flight is flown."""
-    desk = PageDesk(consoles, exchange, out.resolve().name)
+def desk_of(
+    exchange: Exchange, consoles: Consoles, out: Path, *, is_dry: bool = False
+) -> Generator[PageDesk, None, None]:
+    """The loop's side of the page while a flight is flown; `is_dry`: FOLLOW is only pretended."""
+    desk = PageDesk(consoles, exchange, out.resolve().name, "(DRY RUN)" if is_dry else "")
     try:
         yield desk
     finally:

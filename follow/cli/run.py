@@ -323,7 +323,7 @@ def fly_prepared(
             sees.append(consoles.see)
         sees += open_sides.enter_context(ground_sides(command, link, seen.lens, consoles, report))
         if exchange is not None:
-            sees.append(open_sides.enter_context(desk_of(exchange, consoles, command.out)).see)
+            sees.append(open_sides.enter_context(desk_of(exchange, consoles, command.out, is_dry=command.dry_run)).see)
 
         def see(tick: Tick) -> None:
             for take in sees:

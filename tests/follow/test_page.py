@@ -12,6 +12,7 @@ from websockets.exceptions import ConnectionClosed
 
 from follow.messages import Mode, Order
 from follow.operator.consoles import DRAWN_S
+from follow.operator.page import windows
 from follow.operator.page.desk import ACTS, FRAMES
 from follow.operator.page.exchange import WAITING_ACTS, WAITING_STOPS, Act, Doing, Exchange, read_act
 from follow.operator.page.windows import BURST, WINDOWS, jpeg_of
@@ -174,8 +175,10 @@ def test_more_windows_than_can_be_served_are_refused(rig):
             read_until_closed(rig)
 
 
-def read_until_closed(rig):
+def read_until_closed(rig, *messages):
     with rig.window("ffffffffffffffff") as window:
+        for message in messages:
+            window.socket.send(message)
         while window.take(5.0):
             pass
 
@@ -193,6 +196,27 @@ def test_a_server_that_ends_leaves_the_flight_as_it_was(rig):
     assert rig.consoles.wanted == wanted
     assert rig.ordered() == []
     assert rig.consoles.mode is Mode.FOLLOW
+
+
+def test_an_error_inside_the_page_is_told_once_and_harms_nothing_else(rig, monkeypatch):
+    def broken(text, _by):
+        raise KeyError(text)
+
+    monkeypatch.setattr(windows, "read_act", broken)
+    for _ in range(2):
+        with pytest.raises(ConnectionClosed):
+            read_until_closed(rig, "x")
+    monkeypatch.undo()
+    with rig.window() as window:
+        window.until(lambda w: w.images)
+    (line,) = (line for line in rig.lines if "could not serve" in line)
+    assert "KeyError" in line
+
+
+def test_a_dry_run_is_told_in_the_state(tmp_path):
+    with PageRig(tmp_path / "now", suffix="(DRY RUN)") as rig, rig.window() as window:
+        rig.has_target, rig.mode = True, Mode.FOLLOW
+        window.until(lambda w: w.status.get("state") == "FOLLOWING (DRY RUN)")
 
 
 def test_before_the_flight_a_window_sees_what_is_said_and_can_order_nothing(tmp_path):

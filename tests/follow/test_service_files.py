@@ -38,6 +38,10 @@ def test_the_options_are_those_of_follow_run_and_do_not_follow_by_themselves():
     command = read(["run", *words, "--out", "somewhere"])
     assert isinstance(command, RunCommand)
     assert not command.follow
+    assert command.ground == "link", "a ground station can select, the page also"
+    assert command.page is not None
+    token = str(command.page_token)
+    assert f"sudo install -m 600 -o follow /dev/stdin {token}" in (FOLDER / "README.md").read_text()
     installed = f"sudo cp docs/service/settings.toml {installed_at}"
     assert installed in (FOLDER / "README.md").read_text()
 

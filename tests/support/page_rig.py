@@ -28,14 +28,14 @@ ROUNDS = 400
 class PageRig:
     """A page; `round` is one round of the loop."""
 
-    def __init__(self, out: Path, token: str = "", host: str = "127.0.0.1") -> None:
+    def __init__(self, out: Path, token: str = "", host: str = "127.0.0.1", suffix: str = "") -> None:
         self.lines, self.chosen, self.refusal = [], [], ""
         self.mode, self.n, self.has_target = Mode.READY, 0, False
         self.operator = Operator(self.lines.append)
         self.consoles = Consoles(self.operator, self.select, self.report)
         self.exchange = Exchange()
         self.server = PageServer(PageAddress(host, 0), token, self.exchange, out, self.report)
-        self.desk = PageDesk(self.consoles, self.exchange, "now")
+        self.desk = PageDesk(self.consoles, self.exchange, "now", suffix)
         self.token, self.port = token, self.server.address.port
         self.host = f"127.0.0.1:{self.port}"
 

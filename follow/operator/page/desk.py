@@ -46,11 +46,11 @@ def headline(mode: Mode, wanted: str, tracking: TrackingState) -> tuple[str, str
 class PageDesk:
     """`see` takes each tick, after the consoles did.
 
-    `recording` names the flight that is being recorded.
+    `recording` names the flight that is being recorded; `suffix` follows each state in large letters.
     """
 
-    def __init__(self, consoles: Consoles, exchange: Exchange, recording: str = "") -> None:
-        self._consoles, self._exchange, self._recording = consoles, exchange, recording
+    def __init__(self, consoles: Consoles, exchange: Exchange, recording: str = "", suffix: str = "") -> None:
+        self._consoles, self._exchange, self._recording, self._suffix = consoles, exchange, recording, suffix
         self._times: deque[tuple[int, float]] = deque(maxlen=FRAMES)
         self._frame: Frame | None = None
         self._status: TrackingStatus | None = None
@@ -116,7 +116,7 @@ class PageDesk:
         is_known = seen.seen_t_s > NEVER
         return {
             "t": number(state.t_s),
-            "state": words,
+            "state": f"{words} {self._suffix}".rstrip(),
             "tone": tone,
             "mode": decision.mode.value,
             "why": str(decision.reason),
