@@ -12,6 +12,7 @@ import cv2
 from follow.camera import CameraError
 from follow.camera.live import LiveVideo
 from follow.camera.names import is_live
+from follow.camera.sizes import shrink_for
 from follow.camera.video import open_replay
 from follow.cli.commands import DoctorCommand
 from follow.cli.layers import SCENE
@@ -32,6 +33,12 @@ from racf.commandline import UsageError
 
 CAMERA_S = 3.0  # as long as the gaps between frames are watched
 BOX_SHARE = 6  # the timed target is a sixth of the image's height, as a person some 10 m away is
+
+
+def shrink(size: tuple[int, int]) -> int:
+    """By how much the loop shrinks images of that (width, height) for the timed target."""
+    side = size[1] / BOX_SHARE
+    return shrink_for(Box(0.0, 0.0, side, side))(size)
 
 
 def diagnose(command: DoctorCommand, drawn: CameraConfig | None = None) -> None:
@@ -77,15 +84,20 @@ def look(source: str, tracker: str, out: Path, terminal: Terminal) -> list[Findi
     live = is_live(source)
     terminal.report(f"reading frames of {source}, some {CAMERA_S:g} s")
     try:
-        with LiveVideo(source, terminal.report) if live else open_replay(source, None, terminal.report) as camera:
+        report = terminal.report
+        with LiveVideo(source, report, shrink=shrink) if live else open_replay(source, None, report, shrink) as camera:
             findings = doctor.check_camera(camera, time.monotonic if live else None, kept, CAMERA_S)
     except CameraError as error:
         return [Finding("camera", Health.RED, str(error), "look at the source's name and cable")]
     if len(kept) > 1:
         rows, columns = kept[0].image.shape[:2]
         out.mkdir(parents=True, exist_ok=True)
-        cv2.imwrite(str(out / "camera.png"), kept[0].image)
-        terminal.report(f"{columns}x{rows} frames, the first is in {out / 'camera.png'}")
+        scale = kept[0].scale
+        whole = (columns * scale, rows * scale)  # a target's box is given in pixels of the source
+        image = kept[0].image if scale == 1 else cv2.resize(kept[0].image, whole, interpolation=cv2.INTER_CUBIC)
+        cv2.imwrite(str(out / "camera.png"), image)
+        tracked = f", tracked as {columns}x{rows}" if scale > 1 else ""
+        terminal.report(f"{whole[0]}x{whole[1]} frames{tracked}, the first is in {out / 'camera.png'}")
         terminal.report(f"timing the tracker on {len(kept) - 1} frames")
         timed = acquire(tracker, Box.around(columns / 2, rows / 2, rows / BOX_SHARE, rows / BOX_SHARE))
         timed.update(kept[0].image)  # its first frame starts it

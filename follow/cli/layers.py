@@ -33,6 +33,7 @@ from follow.cli.commands import (
 from follow.cli.settings import Table, file_layer, layered, read_table
 from follow.config import PRESETS, Config, TargetKind
 from follow.recording.exact import read_setup
+from follow.recording.folder import CALIBRATION
 from racf.commandline import UsageError, parse
 
 PROG = "follow"
@@ -127,7 +128,11 @@ def flown_with(flight: Path) -> tuple[str, Table]:
     except (OSError, ValueError) as error:
         raise UsageError(f"the flight in {str(flight)!r} cannot be read: {error}") from None
     name = f"the flight in {str(flight)!r}"
-    return name, read_table(setup.settings, name)
+    table = read_table(setup.settings, name)
+    camera = cast("dict[str, object]", table.get("camera", {}))
+    if camera.get("calibration") and (flight / CALIBRATION).is_file():  # the original may have changed or be gone
+        table = {**table, "camera": {**camera, "calibration": str(flight / CALIBRATION)}}
+    return name, table
 
 
 def _scenario(first: Any) -> str | None:

@@ -5,7 +5,8 @@ from dataclasses import replace
 from itertools import chain
 
 from follow.cli.commands import ReflyCommand
-from follow.cli.settings import as_toml
+from follow.cli.layers import flown_with
+from follow.cli.settings import as_toml, layered
 from follow.config import Config
 from follow.control.footage import FootageTarget
 from follow.control.servo import Servo
@@ -16,7 +17,7 @@ from follow.loop import follow
 from follow.messages import Tick
 from follow.operator.terminal import Terminal
 from follow.recording.comparison import Difference, write_comparison
-from follow.recording.exact import ExactFlight, Setup, digest, read_exact
+from follow.recording.exact import ExactFlight, digest, read_exact
 from follow.recording.flight_table import setting_values
 from follow.recording.folder import claimed
 from follow.recording.recorder import Recorder
@@ -32,9 +33,9 @@ def refly(command: ReflyCommand) -> None:
     out = command.out or command.flight / "refly"
     if out.resolve() == command.flight.resolve():
         raise UsageError(f"--out {str(out)!r} is the recorded flight itself: give another folder")
-    flown = as_toml(command.config)
-    refuse_another_camera(recorded.setup, command.config)
-    same = without_record(flown) == without_record(recorded.setup.settings)
+    flown, was = as_toml(command.config), as_toml(layered(flown_with(command.flight)))
+    refuse_another_camera(was, flown)
+    same = without_record(flown) == without_record(was)
     terminal = Terminal()
     with claimed(out):
         keep_flight(out, terminal)
@@ -53,7 +54,7 @@ def refly(command: ReflyCommand) -> None:
         )
         with record as recorder:
             terminal.listeners.append(recorder.message)
-            recorder.settings(flown)
+            recorder.settings(flown, command.config.camera.calibration)
             flight = RecordedFlight(recorded.rounds)
             ticks = terminal.progress(
                 compared(again(recorded, flight, command.config), recorded, difference), flight.left, "refly"
@@ -61,9 +62,7 @@ def refly(command: ReflyCommand) -> None:
             finished = fly(ticks, recorder, terminal.report, lambda _tick: flight.truth())
             figures = recorder.close(Figures(refly_differs=difference.rounds))
         terminal.report(difference.sentence(same=same))
-        write_comparison(
-            command.flight, out, difference.sentence(same=same), settings_changed(recorded.setup.settings, flown)
-        )
+        write_comparison(command.flight, out, difference.sentence(same=same), settings_changed(was, flown))
     conclude(figures, out, terminal, as_json=command.json, finished=finished, failure=recorder.failure)
     if same and difference.rounds:
         raise ValueError(f"the recorded settings do not give the recorded outcome: {difference.sentence(same=True)}")
@@ -96,9 +95,9 @@ def compared(ticks: Iterator[Tick], recorded: ExactFlight, difference: Differenc
         yield tick
 
 
-def refuse_another_camera(setup: Setup, config: Config) -> None:
+def refuse_another_camera(before: str, after: str) -> None:
     """Raise UsageError for a setting that acts before the recording: the frames were taken with the recorded camera."""
-    changed = [name for name in settings_changed(setup.settings, as_toml(config)) if name.startswith("camera.")]
+    changed = [name for name in settings_changed(before, after) if name.startswith("camera.")]
     if changed:
         raise UsageError(f"{changed[0]} cannot be changed: a recorded flight has its camera's frames behind it")
 

@@ -85,7 +85,7 @@ def replay_into(command: ReplayCommand, box: Box, truth: Annotations | None) -> 
         record = partial(Recorder, waits=True, about=about, desired=kept, setup=setup, view=command.view)
         with link, record(command.out, config.record, terminal.report) as recorder:
             terminal.listeners.append(recorder.message)
-            recorder.settings(as_toml(command.config, config))
+            recorder.settings(as_toml(command.config, config), command.config.camera.calibration)
             # No meter: the motion of the camera that filmed the footage is unknown, so the image contradicts nothing.
             ticks = follow(camera, link, tracker, target, servo, safety, once(Order.FOLLOW))
             ticks = terminal.progress(ticks, footage.rounds, "replay")
@@ -100,9 +100,14 @@ def replay_into(command: ReplayCommand, box: Box, truth: Annotations | None) -> 
 
 
 def windowed(footage: ReplayCamera, link: ReplayLink, target: Box, config: Config) -> WindowCamera:
-    """The virtual camera on the footage, at first centred on the target."""
+    """The virtual camera on the footage, at first centred on the target.  Raises UsageError for a bent lens."""
     width, height = footage.size
     lens = lens_of(config.camera, width, height)
+    if lens.is_bent:
+        raise UsageError(
+            f"--ptz moves a window over images without distortion, and {config.camera.calibration} describes some: "
+            "undistort the footage first, or replay it without --ptz"
+        )
     window = (width // PTZ_SHARE, height // PTZ_SHARE)
     # As far away as flat ground is in the middle of the image: so far a climb moves the view.
     range_m = REPLAY_HEIGHT_M / max(math.sin(config.camera.down_rad), 0.1)

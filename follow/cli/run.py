@@ -200,7 +200,7 @@ def fly_reported(
             keys.refuse_early(terminal.report)
             recorder = recording.enter_context(begin_recording(command, flight.seen, starting, terminal, early))
             terminal.listeners.remove(keep)
-            recorder.settings(as_toml(command.config, flight.seen.config, scene))
+            recorder.settings(as_toml(command.config, flight.seen.config, scene), command.config.camera.calibration)
             fly_prepared(command, flight, link, recorder, terminal.report, exchange)
             autopilot = link.state().autopilot
         figures: Figures = {"tracker": command.tracker, "autopilot": autopilot.value if autopilot else ""}

@@ -117,7 +117,7 @@ def simulate_into(flight: FlightSpec, terminal: Terminal, *, bar: bool) -> Flown
     kept, setup = kept_geometry(config.servo, down_rad), Setup(lens, down_rad, as_toml(config), about=about)
     record = partial(Recorder, waits=True, about=about, desired=kept, setup=setup, view=flight.view)
     with camera, record(flight.out, config.record, terminal.report) as recorder:
-        recorder.settings(as_toml(flight.config, config, flight.scene))
+        recorder.settings(as_toml(flight.config, config, flight.scene), flight.config.camera.calibration)
 
         def true_box(tick: Tick) -> Box | None:
             box = referee.box(tick)

@@ -10,9 +10,12 @@ from pathlib import Path
 
 FILES = (
     *("flight.rrd", "flight.tlog", "flight.png", "ticks.csv", "messages.jsonl.gz", "settings.toml", "summary.json"),
-    *("report.html", "refly.html"),
+    *("report.html", "refly.html", "camera.yaml"),
 )
 """What a flight leaves in its folder."""
+
+CALIBRATION = "camera.yaml"
+"""The copy of the calibration file that a flight was flown with."""
 
 
 @contextlib.contextmanager

@@ -19,6 +19,7 @@ from follow.disk import BackgroundFile
 from follow.messages import Notify, Tick
 from follow.ranges import require_numbers
 from follow.recording.exact import ExactWriter, Setup
+from follow.recording.folder import CALIBRATION
 from follow.recording.rows import Desired, LoggedTick, header, row, utc
 from follow.recording.summary import Figures, Summary
 from follow.recording.video_encoder import Encoder
@@ -28,7 +29,7 @@ from racf.box import Box
 if TYPE_CHECKING:
     from follow.recording.rerun_log import RerunRecording
 
-REPLACED = ("flight.rrd", "flight.png", "report.html", "refly.html")
+REPLACED = ("flight.rrd", "flight.png", "report.html", "refly.html", CALIBRATION)
 """What a new recording deletes: an old one would be taken for this flight's if this one breaks off."""
 
 VIEW_QUEUE = 2  # frames that wait for a viewer: the newest counts
@@ -167,13 +168,21 @@ class Recorder:
         for worker in self._workers:
             worker.put(lambda recording: recording.message(t_s, text))
 
-    def settings(self, toml: str) -> None:
-        """Record the flight's settings, also as a file that `--settings` takes."""
-        file = BackgroundFile(self.out / "settings.toml", self._report)
-        file.write(toml.encode())
-        file.close()
+    def settings(self, toml: str, calibration: str = "") -> None:
+        """Record the flight's settings, also as a file that `--settings` takes, and a copy of its calibration file."""
+        self._write("settings.toml", toml.encode())
+        if calibration:
+            try:
+                self._write(CALIBRATION, Path(calibration).read_bytes())
+            except OSError as error:  # it was read before the flight and went since
+                self._report(f"{calibration} is not copied into the recording: {error.strerror}")
         for worker in self._workers:
             worker.put(lambda recording: recording.settings(toml))
+
+    def _write(self, name: str, data: bytes) -> None:
+        file = BackgroundFile(self.out / name, self._report)
+        file.write(data)
+        file.close()
 
     def close(self, figures: Figures | None = None) -> Figures:
         """Write what is still queued and the summary with `figures` added; returns the summary."""

@@ -13,6 +13,7 @@ from follow.camera.calibration import Fit, as_opencv_yaml, fitted, parse_calibra
 from follow.cli.program import main
 from follow.config import CameraConfig
 from follow.geometry import Intrinsics, LensModel, project, radial, rays
+from sim.clip import write
 
 RATIONAL = Intrinsics(640, 360, 300.0, 302.0, 322.0, 177.0, (0.5, 0.2, 0.001, -0.001, 0.01, 0.9, 0.4, 0.05))
 FISHEYE = Intrinsics(640, 360, 250.0, 251.0, 318.0, 181.0, (-0.02, 0.01, -0.004, 0.001), LensModel.FISHEYE)
@@ -181,6 +182,16 @@ def test_a_missing_file_and_frames_of_another_shape_are_wrong_use(tmp_path, caps
     path.write_text(ROS_FILE)
     assert main(["sim", "lens", "--camera.calibration", str(path), "--out", str(tmp_path / "out")]) == 2
     assert "another aspect ratio" in capsys.readouterr().err
+
+
+def test_a_window_over_footage_of_a_bent_lens_is_refused_and_moves_no_recording(tmp_path, capsys):
+    path, out = tmp_path / "lens.yaml", tmp_path / "out"
+    path.write_text(as_opencv_yaml(BARREL, FIT))
+    write(tmp_path / "clip.mp4", 3)
+    words = ["replay", str(tmp_path / "clip.mp4"), "--truth", str(tmp_path / "clip.txt"), "--out", str(out)]
+    assert main([*words, "--ptz", "--camera.calibration", str(path)]) == 2
+    assert "undistort the footage first" in capsys.readouterr().err
+    assert not out.exists()
 
 
 def test_the_settings_lens_is_the_calibrations_at_the_frames_size(tmp_path):

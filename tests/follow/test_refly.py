@@ -14,12 +14,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from follow.camera.calibration import as_opencv_yaml
 from follow.cli.program import main
 from follow.geometry import Intrinsics, LensModel
 from follow.messages import Cause, ImageMotion, Instruction, Landed, Order, Reason, VehicleState
 from follow.recording.exact import ExactWriter, Setup, plain, read_exact, revive
 from sim.clip import write
 from sim.scenarios import SCENARIOS
+from tests.follow.test_calibration import FIT
 from tests.follow.test_record_flight import silent, tick
 from tests.support.real_flight import real_flight
 
@@ -175,6 +177,27 @@ def test_a_flight_is_not_flown_into_its_own_folder_nor_with_another_camera(capfd
     assert (status, "camera.fov_deg cannot be changed" in err) == (2, True)
     status, _, err = follow(capfd, "refly", tmp_path / "nothing")
     assert (status, "holds no messages.jsonl.gz" in err) == (2, True)
+
+
+def test_a_recording_holds_its_calibration_and_is_flown_again_without_the_original(capfd, monkeypatch, tmp_path):
+    monkeypatch.setitem(SCENARIOS, "brief", replace(SCENARIOS["lens"], duration_s=1.0))
+    lens, first = tmp_path / "lens.yaml", tmp_path / "first"
+    lens.write_text(as_opencv_yaml(Intrinsics(640, 360, 250.0, 250.0, 320.0, 180.0, (-0.18, 0.03, 0.0, 0.0, 0.0)), FIT))
+    words = ("--camera.calibration", lens, "--record.no-pictures")
+    assert follow(capfd, "sim", "brief", "--out", first, *words)[0] == 0
+    assert (first / "camera.yaml").read_bytes() == lens.read_bytes()
+    lens.unlink()
+    status, out, err = follow(capfd, "refly", first, "--json", "--record.no-pictures")
+    assert (status, json.loads(out)["refly_differs"]) == (0, 0), err
+    assert "is equal to the last bit" in err
+    status, _, err = follow(capfd, "refly", first / "refly", "--record.no-pictures")  # it has its own copy
+    assert status == 0, err
+    other = tmp_path / "other.yaml"
+    other.write_bytes((first / "camera.yaml").read_bytes())
+    status, _, err = follow(capfd, "refly", first, "--camera.calibration", other)
+    assert (status, "camera.calibration cannot be changed" in err) == (2, True)
+    assert follow(capfd, "sim", "brief", "--out", first, "--record.no-pictures")[0] == 0
+    assert not (first / "camera.yaml").exists(), "it would be taken for this flight's"
 
 
 @pytest.mark.realtime

@@ -13,6 +13,7 @@ from follow.camera.live import LiveVideo
 from follow.camera.sizes import LEAST_LENGTH_PX, LEAST_TARGET_PX, shrink_for
 from follow.camera.video import open_replay
 from follow.cli.program import main
+from follow.flight import preflight
 from racf.box import Box
 from racf.video import Video
 from sim.clip import clip
@@ -94,6 +95,22 @@ def test_what_is_shrunk_shows_the_same_and_bears_its_scale(tmp_path):
         for one, other in zip(small.images(), whole.images(), strict=True):
             area = cv2.resize(other.image, (192, 120), interpolation=cv2.INTER_AREA)
             assert np.abs(one.image.astype(int) - area).mean() < 4
+
+
+def test_doctor_times_the_tracker_on_what_the_loop_tracks_and_shows_pixels_of_the_source(tmp_path, monkeypatch, capfd):
+    seen: list[tuple[int, ...]] = []
+    check = preflight.check_tracker
+
+    def noted(update, frames, fps):
+        seen.extend(frame.image.shape for frame in frames)
+        return check(update, frames, fps)
+
+    monkeypatch.setattr(preflight, "check_tracker", noted)
+    path = encode(tmp_path / "big.mp4", [image for image, _ in large(4)], codec_options={"preset": "ultrafast"})
+    main(["doctor", "--camera", str(path), "--out", str(tmp_path / "out")])
+    assert "1920x1080 frames, tracked as 960x540" in capfd.readouterr().err
+    assert set(seen) == {(540, 960, 3)}
+    assert cv2.imread(str(tmp_path / "out" / "camera.png")).shape == (1080, 1920, 3)
 
 
 @pytest.mark.parametrize("form", ["mjpeg", "h264"])
