@@ -158,6 +158,19 @@ HOVER = Setpoint()
 
 
 @dataclass(frozen=True, slots=True)
+class OtherSighting:
+    """Somebody who was found after a loss and is not, or not yet, taken for the target.
+
+    `azimuth_rad` is clockwise from the vehicle's heading, `range_m` along the ground, two standard deviations nearer
+    than measured; `below_m` is how far its middle lies below the vehicle.
+    """
+
+    azimuth_rad: float
+    range_m: float
+    below_m: float
+
+
+@dataclass(frozen=True, slots=True)
 class Estimate:
     """Where the target is believed to be at `t_s`, seen from the vehicle.
 
@@ -173,7 +186,8 @@ class Estimate:
     `seen_t_s` is the time of the last frame in which the target was found; `seen_range_m` and `seen_azimuth_rad` lead
     from the vehicle's present position and heading to where the target stood then.  `contradiction` says in words
     which measurements disagree beyond their uncertainty; it is empty while they agree.  `doubt` says in words who was
-    found after a loss and is not taken for the target; it is empty if there is nobody.
+    found after a loss and is not taken for the target; it is empty if there is nobody.  `other` is where somebody was
+    found within the last second while the target is lost.
     """
 
     t_s: float
@@ -195,6 +209,7 @@ class Estimate:
     seen_azimuth_rad: float = 0.0
     contradiction: str = ""
     doubt: str = ""
+    other: OtherSighting | None = None
 
 
 @dataclass(frozen=True, slots=True)

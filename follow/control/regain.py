@@ -2,7 +2,8 @@
 
 A candidate is the target only where the target can be.  The places that are as likely as the candidate's, and those
 that are likelier, cover an area: within the distance r of the path from the last place seen to the predicted one, of
-length l, that is 2 r l + pi r^2.  The larger it is, the more probably somebody else stands in it.
+length l, that is 2 r l + pi r^2.  The larger it is, and the longer the target was unseen, the more probably somebody
+else has come to stand in it.
 """
 
 import math
@@ -11,7 +12,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from follow.control.joint_filter import JointFilter
-from follow.geometry import Array
+from follow.control.pose_history import Pose
+from follow.geometry import Array, wrap
+from follow.messages import OtherSighting
 
 LOOKS, LOOK_ASIDE_M, LOOK_ALONG = 24, 5.0, 0.5
 """Places at which a lost target is looked for, how far to either side, and along its course as a part of its way."""
@@ -51,6 +54,12 @@ def distance_to_segment(point: Array, start: Array, end: Array) -> float:
 WALK_M_S, WALK_S = 1.5, 3.0
 """Speed of somebody else who was found where the target could not be, and how long he is expected to walk unseen."""
 
+COMES_S = 6.0
+"""Time in which as many other people come to stand in an area as it holds on average: they walk 8 m."""
+
+NEW_S = 1.0
+"""Somebody who was found keeps his distance from the vehicle for this long."""
+
 OTHERS = 16
 """Number of other people remembered, those found last."""
 
@@ -63,11 +72,15 @@ SAID_S = 3.0
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """A box found after a loss: the place (2,), north and east, that direction and size give it, and its deviation."""
+    """A box found after a loss: the place (2,), north and east, that direction and size give it, and its deviation.
+
+    `down_m` is the height of its middle.
+    """
 
     t_s: float
     place: Array
     std_m: float
+    down_m: float = 0.0
 
     def may_be(self, later: "Candidate") -> bool:
         """Whether a later box may show the same person."""
@@ -80,17 +93,22 @@ class PathDistance:
     """Where a candidate stands against where the target can be.
 
     `aside_m` is its distance from the path, less its own deviation; `path_m` the path's length.  `is_near` says that
-    distance and height are within the filter's own uncertainty.
+    distance and height are within the filter's own uncertainty.  `unseen_s` is the time since the loss.
     """
 
     aside_m: float
     path_m: float
     is_near: bool
+    unseen_s: float
 
     @property
     def area_m2(self) -> float:
-        """Area of the places that are at least as likely."""
-        return 2 * self.aside_m * self.path_m + math.pi * self.aside_m**2
+        """Area of the places that are at least as likely, as large as that around one place at least.
+
+        That of the way counts by the time since the loss: others come into it one by one.
+        """
+        around = math.pi * self.aside_m**2
+        return max(around, (2 * self.aside_m * self.path_m + around) * self.unseen_s / COMES_S)
 
 
 @dataclass(slots=True)
@@ -106,10 +124,12 @@ class Regain:
     """What was found since the target was lost: the candidate on trial, and those who are somebody else.
 
     Who once stood where the target could not be stays somebody else, also when the target may have come there by now.
-    `frames` is the number of consecutive frames that showed the candidate on trial.
+    `frames` is the number of consecutive frames that showed the candidate on trial; `found` is the newest candidate,
+    whatever came of it.
     """
 
     frames: int = 0
+    found: Candidate | None = None
     begun: Candidate | None = None
     last: Candidate | None = None
     others: list[OtherPerson] = field(default_factory=list[OtherPerson])
@@ -126,6 +146,18 @@ class Regain:
             other.last = replace(other.last, place=other.last.place + jump_ned[:2])
         if self.last is not None:
             self.last = replace(self.last, place=self.last.place + jump_ned[:2])
+        if self.found is not None:
+            place, down_m = self.found.place + jump_ned[:2], self.found.down_m + float(jump_ned[2])
+            self.found = replace(self.found, place=place, down_m=down_m)
+
+    def sighting(self, pose: Pose) -> OtherSighting | None:
+        """Where the newest candidate is, seen from the vehicle; None if it is older than `NEW_S`."""
+        if self.found is None or not 0.0 <= pose.t_s - self.found.t_s <= NEW_S:
+            return None
+        away = self.found.place - pose.position_ned[:2]
+        range_m = max(float(np.linalg.norm(away)) - 2 * self.found.std_m, 0.0)
+        azimuth_rad = wrap(math.atan2(away[1], away[0]) - pose.yaw_rad)
+        return OtherSighting(azimuth_rad, range_m, self.found.down_m - float(pose.position_ned[2]))
 
     def doubt(self, t_s: float) -> str:
         """Who was found and is not taken, in words; empty if there is nobody."""
@@ -133,6 +165,7 @@ class Regain:
 
     def admits(self, found: Candidate, distance: PathDistance, area_m2: float, confirm: int) -> bool:
         """Whether the candidate can be the target; if so the trial goes on, or begins with it."""
+        self.found = found
         other = next((other for other in self.others if other.last.may_be(found)), None)
         is_other = other is not None and other.frames >= confirm
         if is_other or distance.area_m2 > area_m2:

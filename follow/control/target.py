@@ -280,8 +280,10 @@ class Target:
         near = aside_m <= c.regain_sigmas * math.sqrt(level + own_m**2)
         near = near and abs(place[2] - self.seen_ned[2]) <= c.regain_sigmas * rise_std_m
         path_m = float(np.linalg.norm(f.mean[:2] - self.seen_ned[:2]))
-        distance = PathDistance(max(aside_m - own_m, 0.0), path_m, near)
-        return self.regain.admits(Candidate(f.t_s, place[:2], own_m), distance, c.regain_area_m2, c.confirm)
+        distance = PathDistance(max(aside_m - own_m, 0.0), path_m, near, f.t_s - self.seen_t_s)
+        return self.regain.admits(
+            Candidate(f.t_s, place[:2], own_m, float(place[2])), distance, c.regain_area_m2, c.confirm
+        )
 
     def sight(self, box: Box, pose: Pose) -> Sight:
         """A box as a measurement: the lens undone, in NED."""
@@ -335,7 +337,7 @@ class Target:
         pose = self.motion.at(state.t_s)
         f = self.carried(state.t_s) if self.config.compensate else self.filter
         seen = seen_from(f, pose, self.middle, self.seen_t_s, self.seen_ned, self.config, self.sources)
-        return replace(seen, doubt=self.regain.doubt(state.t_s))
+        return replace(seen, doubt=self.regain.doubt(state.t_s), other=self.regain.sighting(pose))
 
 
 def seen_from(

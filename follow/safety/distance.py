@@ -8,7 +8,7 @@ import math
 from dataclasses import dataclass
 
 from follow.geometry import heading_to_ned, ned_to_heading
-from follow.messages import Estimate, VehicleState
+from follow.messages import Estimate, OtherSighting, VehicleState
 from follow.safety.limits import Limits
 
 SETTLE_S = 1.5
@@ -66,6 +66,9 @@ UNKNOWN = Worst(0.0, 0.0, 0.0, 0.0)
 """No target: without fresh data nothing is read from it."""
 
 
+WALK_M_S = 1.4
+"""Somebody of whom only a place is known is taken to walk towards the vehicle."""
+
 GONE = Worst(0.0, math.inf, 0.0, 0.0)
 """A target unseen for longer than `search_after_s` may be anywhere: the vehicle hovers, and flees from no guess."""
 
@@ -82,6 +85,12 @@ def worst(estimate: Estimate, state: VehicleState, limits: Limits) -> Worst:
     away, _ = ned_to_heading(estimate.north_m_s, estimate.east_m_s, sight)
     spare = estimate.ground_below_m - top - sprint_above_m(estimate.range_m, limits)
     return Worst(sight, max(near, 0.0), max(below - top, 0.0), -away, spare)
+
+
+def worst_other(other: OtherSighting, state: VehicleState) -> Worst:
+    """Somebody who is not taken for the target, and may walk towards the vehicle."""
+    above_m = max(other.below_m - HEAD_M / 2, 0.0)
+    return Worst(state.yaw_rad + other.azimuth_rad, max(other.range_m, 0.0), above_m, WALK_M_S)
 
 
 def sprint_above_m(range_m: float, limits: Limits) -> float:

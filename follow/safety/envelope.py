@@ -74,6 +74,7 @@ HELD = {
     "view": "less sideways or back: limits.out_of_view_m_s (the camera does not look there)",
     "last sighting": "slower: to stop before the last sighting (the target is not seen)",
     "stand-off": "slower: limits.min_standoff_m (the target may be near)",
+    "another": "slower: limits.min_standoff_m (another person may be near)",
     "fence": "slower: limits.fence_m (near the border)",
     "altitude": "less climb or descent: limits.floor_m or limits.ceiling_m or limits.above_target_m",
 }
@@ -84,12 +85,14 @@ HELD = {
 class Surroundings:
     """What limits the vehicle besides its own speed: the target at its nearest, the fence, and the last sighting.
 
-    `fence_centre` is local NED north and east, m; `last_seen` is None while the target is seen.
+    `fence_centre` is local NED north and east, m; `last_seen` is None while the target is seen.  `another` is somebody
+    who was found while the target is lost.
     """
 
     target: Worst
     fence_centre: tuple[float, float]
     last_seen: Sighting | None = None
+    another: Worst | None = None
 
 
 def limit_velocity(
@@ -110,9 +113,13 @@ def limit_velocity(
     if around.last_seen is not None:
         steps.append(("last sighting", limit_to_last_seen(*steps[-1][1], around.last_seen, state, limits)))
     steps.append(("stand-off", limit_closing_speed(*steps[-1][1], around.target, limits)))
+    down = limit_descent(desired.down_m_s, around.target, state, limits)
+    if around.another is not None:
+        steps.append(("another", limit_closing_speed(*steps[-1][1], around.another, limits)))
+        down = limit_descent(down, around.another, state, limits)
     out = state.north_m - around.fence_centre[0], state.east_m - around.fence_centre[1]
     steps.append(("fence", limit_to_fence(*steps[-1][1], out, limits)))
-    banded = limit_altitude(limit_descent(desired.down_m_s, around.target, state, limits), around.target, state, limits)
+    banded = limit_altitude(down, around.target, state, limits)
     acted = [name for (_, before), (name, after) in pairwise(steps) if before != after]
     acted += ["altitude"] * (banded != desired.down_m_s)
     return (*steps[-1][1], banded), tuple(HELD[name] for name in acted)

@@ -24,7 +24,17 @@ from follow.messages import (
 from follow.safety.authority import Authority, Facts, judged
 from follow.safety.checks import PLAUSIBLE, Hindrance, hindrances, must_stop, stale, unseen
 from follow.safety.consistency import Consistency
-from follow.safety.distance import GONE, UNKNOWN, Sighting, Worst, distance_m, limit_closing_speed, limit_descent, worst
+from follow.safety.distance import (
+    GONE,
+    UNKNOWN,
+    Sighting,
+    Worst,
+    distance_m,
+    limit_closing_speed,
+    limit_descent,
+    worst,
+    worst_other,
+)
 from follow.safety.envelope import Surroundings, limit_altitude, limit_velocity
 from follow.safety.limits import Limits
 from follow.safety.modes import FLYING, STREAMING
@@ -84,7 +94,9 @@ def scale_for_mode(mode: Mode, desired: Setpoint, unseen_s: float, limits: Limit
     # For the first half of the timeout all of it: a walker goes on behind a post or a bush, so the view must follow.
     fraction = clamped(max(2 - 2 * unseen_s / limits.search_after_s, 0.0), 1.0) if mode is Mode.COAST else 0.0
     turn = clamped(desired.yaw_rate_rad_s, limits.search_rad_s)
-    return Setpoint(desired.forward_m_s * fraction, desired.right_m_s * fraction, desired.down_m_s * fraction, turn)
+    # Who is not seen may have come nearer: height is what a fast approach leaves no time to gain.
+    down = min(desired.down_m_s, 0.0) * fraction
+    return Setpoint(desired.forward_m_s * fraction, desired.right_m_s * fraction, down, turn)
 
 
 def clamped(value: float, largest: float) -> float:
@@ -156,7 +168,8 @@ def decide(
         return gate, Decision(None, authority.mode, notes, authority.reason, authority.release)
     velocity, turn, held, reach = (0.0, 0.0, 0.0), 0.0, (), TargetReach()
     if is_fresh:
-        velocity, turn, held = permitted(gate, desired, target, state, unseen_s, limits)
+        another = None if estimate.other is None else worst_other(estimate.other, state)
+        velocity, turn, held = permitted(gate, desired, target, another, state, unseen_s, limits)
         if gate.mode is Mode.FOLLOW:
             reach = watched_reach(gate.reach, desired, velocity[:2], target, state, limits)
     gate = replace(gate, reach=reach)
@@ -210,7 +223,13 @@ def remembered(gate: Gate, target: Worst, estimate: Estimate, state: VehicleStat
 
 
 def permitted(
-    gate: Gate, desired: Setpoint, target: Worst, state: VehicleState, unseen_s: float, limits: Limits
+    gate: Gate,
+    desired: Setpoint,
+    target: Worst,
+    another: Worst | None,
+    state: VehicleState,
+    unseen_s: float,
+    limits: Limits,
 ) -> tuple[tuple[float, float, float], float, tuple[str, ...]]:
     """The NED velocity and yaw rate that mode and limits permit on fresh data, and notes."""
     if gate.mode is Mode.ENGAGE:
@@ -219,7 +238,7 @@ def permitted(
     allowed = scale_for_mode(gate.mode, desired, unseen_s, limits)
     speed_m_s = limits.speed_m_s if gate.mode is Mode.FOLLOW else min(limits.coast_m_s, limits.speed_m_s)
     last_seen = gate.last_seen if unseen_s > UNSEEN_S else None
-    around = Surroundings(target, gate.fence_centre or (state.north_m, state.east_m), last_seen)
+    around = Surroundings(target, gate.fence_centre or (state.north_m, state.east_m), last_seen, another)
     velocity, held = limit_velocity(allowed, speed_m_s, around, state, limits)
     return velocity, allowed.yaw_rate_rad_s, held
 

@@ -124,6 +124,20 @@ def test_a_jump_of_the_vehicles_own_position_takes_the_others_along():
     assert other.last.place - before == pytest.approx((5.0, 0.0))
 
 
+@pytest.mark.parametrize("place", [(0.0, 0.0), (2.0, 5.0), (20.0, -6.0)])
+def test_whoever_is_found_while_the_target_is_lost_is_told_as_a_place_for_a_second(place):
+    watcher = Watcher(3.0)
+    watcher.finds(lambda _t: place, 8.0, DT)
+    state = watcher.state(watcher.last_s + 8.0, place)
+    other = watcher.target.estimate(state).other
+    assert other is not None
+    range_m = math.hypot(place[0] + 12.0, place[1])
+    assert 0.75 * range_m < other.range_m < range_m
+    assert other.azimuth_rad == pytest.approx(0.0, abs=0.02)
+    assert other.below_m == pytest.approx(7.4, abs=0.8)
+    assert watcher.target.estimate(replace(state, t_s=state.t_s + 1.5)).other is None
+
+
 def test_the_operator_and_the_pilot_are_told_once():
     lines, sent = [], []
 

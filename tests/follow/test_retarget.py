@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from follow.messages import HOVER, NEVER, Estimate, Instruction, Setpoint
-from tests.support.gate_rig import DT, LIMITS, engaged, flying, obeyed, seen
+from follow.messages import HOVER, NEVER, Estimate, Instruction, OtherSighting, Setpoint
+from tests.support.gate_rig import DT, LIMITS, engaged, fly, flying, obeyed, seen
 
 NOBODY = Estimate(0.0, 0.0, 0.4, 1e3, 1e3)
 
@@ -59,6 +59,28 @@ def test_from_a_target_that_may_be_anywhere_the_vehicle_does_not_flee(lost_s, ra
         decision = safety.allow(HOVER, replace(near, t_s=now, seen_t_s=now), flying(now, **obeyed(safety)), now)
     assert decision.setpoint.forward_m_s < -0.5
     assert decision.setpoint.down_m_s < -0.5
+
+
+@pytest.mark.parametrize("range_m", [2.0, 3.0])
+@pytest.mark.parametrize("lost_s", [1.0, 6.0])
+def test_somebody_who_is_found_while_the_target_is_lost_is_kept_from(range_m, lost_s):
+    """He stands before the vehicle, in COAST and in SEARCH; the lost target is expected far away."""
+    safety, t_s = engaged()
+    for i in range(1, round((lost_s + 1.5) / DT)):
+        now = t_s + i * DT
+        other = OtherSighting(0.0, range_m, 2.0) if i * DT > lost_s else None
+        guess = replace(seen(now), range_m=30.0, seen_t_s=t_s, other=other)
+        decision = safety.allow(Setpoint(3.0), guess, flying(now, **obeyed(safety)), now)
+    assert decision.setpoint.forward_m_s < -0.2  # from 3 m/s forward, in 1.5 s
+    assert decision.setpoint.down_m_s < -0.2
+    assert any("another person" in note for note in decision.notes)
+
+
+def test_unseen_it_does_not_descend():
+    safety, t_s = engaged()
+    for decision in fly(safety, t_s, 6.0, Setpoint(0.0, 0.0, 2.0), seen_t_s=t_s)[30:]:
+        assert decision.setpoint.down_m_s < 0.05
+    assert decision.setpoint.down_m_s == pytest.approx(0.0, abs=1e-9)
 
 
 def test_without_a_choice_an_estimate_without_a_target_is_given_up_at_once():

@@ -8,6 +8,8 @@ from pymavlink.dialects.v20 import common as dialect
 
 from follow.control.servo import ServoConfig, ServoMode
 from follow.messages import Autopilot, Order
+from follow.operator.consoles import RAISE_RANGE, STANDOFF_RANGE
+from follow.selection import Wanted
 from sim.autopilot.core import Result
 from tests.support.bounds import REMOTE_TOLD_S, RUN_M_S, SILENT_S, STICK_SEEN_S, STREAM_LOSS_S, stop
 from tests.support.fault_expectations import (
@@ -218,6 +220,15 @@ def same_id(rig: Rig) -> None:
     rig.to_client = way
 
 
+def trims(wanted: Wanted) -> Callable[[Rig], None]:
+    """A person at a console wants the vehicle to fly so."""
+
+    def inject(rig: Rig) -> None:
+        rig.operator.wanted = lambda: wanted
+
+    return inject
+
+
 def toward(speed_m_s: float) -> dict[str, object]:
     """The target stands for 8 s, then comes straight at the vehicle and past it."""
     end = 15.0 + 24.0 / speed_m_s + 3.0
@@ -281,6 +292,15 @@ DISTANCE_ROWS = (
             {**toward(3.0), "servo": ServoConfig(mode=mode)},
         )
         for mode in (ServoMode.SPOTLIGHT, ServoMode.ORBIT, ServoMode.PROFILE)
+    ),
+    *(
+        Row(
+            f"target comes at {speed:g} m/s, trims near and low",
+            trims(Wanted(standoff_factor=STANDOFF_RANGE[0], raise_rad=RAISE_RANGE[0])),
+            keeps(least),
+            {**toward(speed), "fault_t_s": 5.0},
+        )
+        for speed, least in ((3.0, 4.0), (6.0, 3.0))
     ),
     *(
         Row(f"target hides at {speed:g} m/s and stands there", lose, keeps(0.5), hides(speed))
