@@ -188,6 +188,9 @@ class Estimate:
     which measurements disagree beyond their uncertainty; it is empty while they agree.  `doubt` says in words who was
     found after a loss and is not taken for the target; it is empty if there is nobody.  `other` is where somebody was
     found within the last second while the target is lost.
+
+    `drift_*` is how much faster the vehicle's reported position moves than its reported velocity says, local NED.  The
+    target moves in the frame of the positions, setpoints are flown by the reported velocity.
     """
 
     t_s: float
@@ -210,6 +213,9 @@ class Estimate:
     contradiction: str = ""
     doubt: str = ""
     other: OtherSighting | None = None
+    drift_north_m_s: float = 0.0
+    drift_east_m_s: float = 0.0
+    drift_down_m_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,6 +227,7 @@ class ImageMotion:
     the median of m·m.  `box_seen_px` is the motion of the target's box, `box_expected_px` what rotation alone would
     make of it, (right, down).  `height_m` is the camera's height above the ground around the target's feet, from the
     parallax of corners there, with its standard deviation; both are inf when the vehicle flew too little to tell.
+    `height_shared_std_m` is the part of that deviation that lasts: that of the vehicle's velocity.
     """
 
     from_t_s: float
@@ -236,6 +243,7 @@ class ImageMotion:
     box_expected_px: tuple[float, float] = (0.0, 0.0)
     height_m: float = math.inf
     height_std_m: float = math.inf
+    height_shared_std_m: float = 0.0
 
 
 class Order(str, Enum):

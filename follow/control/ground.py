@@ -5,6 +5,8 @@ the size, or contradicts it.
 """
 
 import math
+from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 
@@ -135,11 +137,28 @@ def grounded(f: JointFilter, here: Array, velocity: Array, middle: float, word: 
 
 @dataclass(frozen=True, slots=True)
 class Parallax:
-    """Where the ground around the target's feet lies by its motion in the image: NED down and its deviation, metres."""
+    """Where the ground around the target's feet lies by its motion in the image: NED down and its deviation, metres.
+
+    `shared_std_m` is the part of the deviation that measurements of the same second share.
+    """
 
     t_s: float
     down_m: float
     std_m: float
+    shared_std_m: float = 0.0
+
+    @property
+    def own_std_m(self) -> float:
+        """The rest, that of this measurement alone."""
+        return max(math.sqrt(max(self.std_m**2 - self.shared_std_m**2, 0.0)), 0.01)
+
+
+def mean_parallax(seen: Sequence[Parallax]) -> tuple[float, float]:
+    """The mean of some measurements, each by its own variance: NED down and its deviation, metres."""
+    weights = np.array([1 / one.own_std_m**2 for one in seen])
+    share = weights / weights.sum()
+    shared_m = float(share @ [one.shared_std_m for one in seen])
+    return float(share @ [one.down_m for one in seen]), math.hypot(1 / math.sqrt(weights.sum()), shared_m)
 
 
 @dataclass(slots=True)
@@ -147,7 +166,7 @@ class GroundSources:
     """Compares the sources; remembers how well each was once believed, and which contradicts the size."""
 
     believed: dict[Source, float] = field(default_factory=dict[Source, float])
-    parallax: Parallax | None = None
+    parallax: deque[Parallax] = field(default_factory=lambda: deque[Parallax](maxlen=32))  # since they were last asked
     contradiction: str = ""
     near_ratio: float = 1.0  # of the range by the nearer source to the estimate's, while they contradict each other
 
@@ -163,8 +182,9 @@ class GroundSources:
         size_m, size_std, middle = size
         self.contradiction, self.near_ratio = "", 1.0
         words = ground_words(f, here, state, c)
-        if self.parallax is not None and 0 <= state.t_s - self.parallax.t_s <= FRESH_S:
-            words.insert(0, (Source.PARALLAX, self.parallax.down_m, self.parallax.std_m))
+        if fresh := [one for one in self.parallax if 0 <= state.t_s - one.t_s <= FRESH_S]:
+            words.insert(0, (Source.PARALLAX, *mean_parallax(fresh)))
+        self.parallax.clear()
         for source, ground_down_m, std_m in words:
             word = ground_word(f, here, middle, ground_down_m, std_m)
             if max(word.by_size_m, word.height_m) < LOW_M:

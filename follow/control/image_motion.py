@@ -36,6 +36,7 @@ QUALITY = 0.01  # of the strongest corner: asphalt and grass still give some
 APART_PX = 10  # so that one tree does not outvote the ground
 FEET_REACH = 1.5  # box heights to either side of the feet in which the ground counts as theirs
 AROUND_BOX = 1.6  # the target moves by itself; so does its shadow beside it
+APART = 0.5  # of the ground's motion: a target that moves by less than this beside it may be the ground
 FEWEST = 8  # corners below which an interval says nothing
 WINDOW = (15, 15)  # Lucas-Kanade's; with two halvings it follows 30 px in the shrunk image
 HUBER_PX = 1.0  # residual (full-size pixels) beyond which a corner counts less: other people, leaves, an OSD
@@ -50,6 +51,7 @@ HEIGHT_LEAST_RAD = 0.008  # rms translation there below which it says nothing ei
 JITTER_S = 0.01  # of a frame's time against the attitude's, each; at 0.5 rad/s it weighs as much as HEIGHT_NOISE_RAD
 SPEED_NOISE_M_S = 0.1  # of the velocity by GPS that the translation comes from: a hovering vehicle reports 0.05 to 0.1
 HEIGHT_RELATIVE_STD = 0.5  # a less certain height is not used: its error is not normal and has no bound
+NO_HEIGHT = math.inf, math.inf, 0.0
 WAIT_S = 0.15  # an interval waits at most this long for telemetry that covers its frames
 GAP_S = 0.15  # longest gap between the attitudes around a frame: across it a wobble of 1.5 Hz hides half of 0.5 degrees
 
@@ -154,7 +156,8 @@ class ImageMotionMeter:
             if np.isfinite(turned).all():
                 box_seen = new.centre_x - old.centre_x, new.centre_y - old.centre_y
                 box_expected = float(turned[0, 0]) - old.centre_x, float(turned[0, 1]) - old.centre_y
-        height_m, height_std_m = self.height(tracked, known, m - r, t, before, after)
+        went = np.subtract(box_seen, box_expected)
+        height_m, height_std_m, height_shared_std_m = self.height(tracked, known, m - r, t, went, before, after)
         return ImageMotion(
             from_t_s=tracked.from_t_s,
             t_s=tracked.to_t_s,
@@ -169,46 +172,49 @@ class ImageMotionMeter:
             box_expected_px=box_expected,
             height_m=height_m,
             height_std_m=height_std_m,
+            height_shared_std_m=height_shared_std_m,
         )
 
     def height(
-        self, tracked: CornerTracks, known: Masks, left: Array, t: Array, before: Pose, after: Pose
-    ) -> tuple[float, float]:
+        self, tracked: CornerTracks, known: Masks, left: Array, t: Array, went: Array, before: Pose, after: Pose
+    ) -> tuple[float, float, float]:
         """Height above the ground around the target's feet and its standard deviation, by the corners' parallax.
 
         `left` is the (N, 2) motion of the `known` corners that rotation does not explain, `t` what translation over
-        ground at the believed height would make of them.  At height h the translation is t believed / h, so
-        h = believed sum(t . t) / sum(t . left).  Its relative variance is the sum of two: of `left` (attitude, jitter
-        of the frames' times, corners) over the translation that is seen, and of the vehicle's velocity over its
-        translation.  (inf, inf) when there is no box, or too little to see.
+        ground at the believed height would make of them, `went` (2,) that of the box.  At height h the translation is
+        t believed / h, so h = believed sum(t . t) / sum(t . left).  Its relative variance is the sum of two: of `left`
+        (attitude, jitter of the frames' times, corners) over the translation that is seen, and of the vehicle's
+        velocity over its translation.  The third number is the deviation by the velocity alone, which successive
+        measurements share.  (inf, inf, 0) when there is no box, or too little to see.
         """
         believed_m = self.ground_down_m - before.down_m
         if tracked.box_before is None or believed_m < LEAST_HEIGHT_M:
-            return math.inf, math.inf
+            return NO_HEIGHT
         box = tracked.box_before
         rotation = camera_to_ned(self.down_rad, before.roll_rad, before.pitch_rad, before.yaw_rad)
         pixels = tracked.before[known]
         down = (rays(self.camera, pixels) @ rotation.T)[:, 2]
         feet_down = float((rays(self.camera, [(box.centre_x, box.y + box.h)]) @ rotation.T)[0, 2])
         # The ray's fall tells the distance of flat ground: d = h / fall.
-        near = np.abs(feet_down / np.maximum(down, 1e-6) - 1.0) < NEAR_DEPTH
+        near = (np.abs(feet_down / np.maximum(down, 1e-6) - 1.0) < NEAR_DEPTH) & ~goes_along(left, t, went)
         if feet_down <= LEAST_FALL or np.count_nonzero(near) < NEAR_CORNERS:
-            return math.inf, math.inf
+            return NO_HEIGHT
         t, left = t[near], left[near]
         w = weights(left, t, np.zeros_like(t))
         tt, lt = mean_product(w, t, t), mean_product(w, left, t)
         if lt < 0.1 * tt or lt * lt < tt * (HEIGHT_LEAST_RAD * self.camera.fx) ** 2:
-            return math.inf, math.inf
+            return NO_HEIGHT
         off = left - lt / tt * t
         jitter_px2 = sum(mean_product(w, j, t) ** 2 / tt for j in self.jittered(pixels[near], before, after))
         left_px2 = (HEIGHT_NOISE_RAD * self.camera.fx) ** 2 + jitter_px2 + mean_product(w, off, off) / len(t)
         seen = left_px2 * tt / lt**2
         flown_px = self.camera.fx * SPEED_NOISE_M_S * (after.t_s - before.t_s) * feet_down / believed_m
-        relative_std = math.sqrt(seen + flown_px**2 / tt)
+        flown = flown_px**2 / tt
+        relative_std = math.sqrt(seen + flown)
         if relative_std > HEIGHT_RELATIVE_STD:
-            return math.inf, math.inf
+            return NO_HEIGHT
         height_m = believed_m * tt / lt
-        return height_m, height_m * relative_std
+        return height_m, height_m * relative_std, height_m * math.sqrt(flown)
 
     def jittered(self, pixels: Array, before: Pose, after: Pose) -> tuple[Array, Array]:
         """How far (N, 2) pixels' motion by rotation is off when either frame's time is `JITTER_S` wrong, px."""
@@ -233,6 +239,16 @@ class ImageMotionMeter:
             ground = np.where(np.isfinite(depth_m)[:, None], ray * np.minimum(depth_m, FAR_M)[:, None] - shift, ray)
         moved, _ = project(self.camera, second, np.zeros(3), ground)
         return rotated, moved
+
+
+def goes_along(left: Array, t: Array, went: Array) -> Masks:
+    """(N,) whether a corner moved with the target, as its shadow does, and not as the ground must.
+
+    `left` and `t` are the (N, 2) motions of the corners as measured and as expected of the ground, `went` (2,) that of
+    the target.  A target that moves as the ground does tells nothing.
+    """
+    apart = np.linalg.norm(went - t, axis=1) > APART * np.linalg.norm(t, axis=1)
+    return apart & (np.linalg.norm(left - went, axis=1) < np.linalg.norm(left - t, axis=1))
 
 
 def within(box: Box, camera: Intrinsics) -> bool:

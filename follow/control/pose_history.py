@@ -9,6 +9,7 @@ from operator import attrgetter
 
 import numpy as np
 
+from follow.control.drift import Drift
 from follow.geometry import Array, wrap
 from follow.messages import NEVER, VehicleState
 
@@ -30,7 +31,7 @@ ACCEL_M_S2 = 6.0
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """Attitude (radians), position and velocity (NED) at one time."""
+    """Attitude (radians), position and velocity (NED) at one time; the velocity is that at which the position moves."""
 
     t_s: float
     roll_rad: float
@@ -60,6 +61,7 @@ class PoseHistory:
 
     attitudes: deque[VehicleState] = field(default_factory=lambda: deque[VehicleState](maxlen=MEMORY))
     positions: deque[VehicleState] = field(default_factory=lambda: deque[VehicleState](maxlen=MEMORY))
+    drift: Drift = field(default_factory=Drift)
 
     def add(self, state: VehicleState) -> None:
         """Add a state; a group (attitude, position) that is not newer than the last one is ignored."""
@@ -71,6 +73,8 @@ class PoseHistory:
             self.positions.clear()
         if not self.positions or state.position_t_s > self.positions[-1].position_t_s:
             self.positions.append(state)
+            if state.position_t_s > NEVER:
+                self.drift.update(state)
 
     def jump(self, state: VehicleState, least_m: float) -> Array | None:
         """Return how far (3,) a new state's position is from where its velocity leads; None for less than `least_m`.
@@ -98,6 +102,7 @@ class PoseHistory:
         ]
         self.positions.clear()
         self.positions.extend(moved)
+        self.drift.shift(offset_ned)
 
     def attitude_gap_s(self, t_s: float) -> float:
         """Seconds between the attitude messages around `t_s`; inf before the first and after the last."""
@@ -116,9 +121,10 @@ class PoseHistory:
         yaw = a.yaw_rad + wrap(b.yaw_rad - a.yaw_rad) * turned
         yaw += b.yaw_rate_rad_s * beyond(t_s, b.attitude_t_s, turned)
         ahead = beyond(t_s, q.position_t_s, moved)
-        north_m_s = blend(p.north_m_s, q.north_m_s, moved)
-        east_m_s = blend(p.east_m_s, q.east_m_s, moved)
-        down_m_s = blend(p.down_m_s, q.down_m_s, moved)
+        north, east, down = (float(v) for v in self.drift.velocity)
+        north_m_s = blend(p.north_m_s, q.north_m_s, moved) + north
+        east_m_s = blend(p.east_m_s, q.east_m_s, moved) + east
+        down_m_s = blend(p.down_m_s, q.down_m_s, moved) + down
         return Pose(
             t_s,
             blend(a.roll_rad, b.roll_rad, turned),

@@ -116,6 +116,18 @@ class Servo:
                 pid.reset()
         if estimate.seen_t_s == NEVER or wanted.mode == HOVER_HERE:
             return Setpoint()
+        desired = self.desired(estimate, positions_rate(estimate, state), dt)
+        forward, right = ned_to_heading(estimate.drift_north_m_s, estimate.drift_east_m_s, state.yaw_rad)
+        # The autopilot flies by the velocity that it reports; what its position drifts beside that is taken off.
+        return replace(
+            desired,
+            forward_m_s=desired.forward_m_s - forward,
+            right_m_s=desired.right_m_s - right,
+            down_m_s=desired.down_m_s - estimate.drift_down_m_s,
+        )
+
+    def desired(self, estimate: Estimate, state: VehicleState, dt: float) -> Setpoint:
+        """Return the velocity at which the vehicle's position should move; `state` has that at which it moves now."""
         if self.config.mode is ServoMode.TOP_DOWN:
             return self.above(estimate, state, dt)
         along, across = sight_components(estimate, state.yaw_rad)
@@ -237,6 +249,16 @@ class Servo:
             self.approach.update(ahead_m, -ahead_m, dt, forward - with_forward) + with_forward,
             self.aside.update(right_m, -right_m, dt, right - with_right) + with_right,
         )
+
+
+def positions_rate(estimate: Estimate, state: VehicleState) -> VehicleState:
+    """The state with the velocity at which its reported position moves, the frame of the target's velocity."""
+    return replace(
+        state,
+        north_m_s=state.north_m_s + estimate.drift_north_m_s,
+        east_m_s=state.east_m_s + estimate.drift_east_m_s,
+        down_m_s=state.down_m_s + estimate.drift_down_m_s,
+    )
 
 
 def sight_components(estimate: Estimate, yaw_rad: float) -> tuple[float, float]:

@@ -161,7 +161,7 @@ class Target:
         self.observe(state)
         if motion is not None and math.isfinite(motion.height_std_m):
             down_m = self.motion.at(motion.from_t_s).down_m + motion.height_m
-            self.sources.parallax = Parallax(motion.t_s, down_m, motion.height_std_m)
+            self.sources.parallax.append(Parallax(motion.t_s, down_m, motion.height_std_m, motion.height_shared_std_m))
         if track is not None:
             self.waiting.append((t_s, track))
         while self.waiting and self.readable(self.waiting[0][0], state):
@@ -337,7 +337,9 @@ class Target:
         pose = self.motion.at(state.t_s)
         f = self.carried(state.t_s) if self.config.compensate else self.filter
         seen = seen_from(f, pose, self.middle, self.seen_t_s, self.seen_ned, self.config, self.sources)
-        return replace(seen, doubt=self.regain.doubt(state.t_s), other=self.regain.sighting(pose))
+        seen = replace(seen, doubt=self.regain.doubt(state.t_s), other=self.regain.sighting(pose))
+        north, east, down = (float(v) for v in self.motion.drift.velocity)
+        return replace(seen, drift_north_m_s=north, drift_east_m_s=east, drift_down_m_s=down)
 
 
 def seen_from(

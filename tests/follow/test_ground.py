@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from follow.control.ground import GroundSources, GroundTrust, Parallax, ground_word, grounded
+from follow.control.ground import GroundSources, GroundTrust, Parallax, ground_word, grounded, mean_parallax
 from follow.control.joint_filter import Motion, Sight, height_row, started, with_size
 from follow.control.pose_history import Pose
 from follow.messages import VehicleState
@@ -29,7 +29,8 @@ def test_the_size_is_a_constant_with_a_bound_whatever_the_sources_say(words):
     f, sources = first(), GroundSources()
     for i, (ranged, height_m) in enumerate(word for word in words for _ in range(30)):
         told = {"above_ground_t_s": float(i), "above_ground_m": height_m} if ranged else {}
-        sources.parallax = None if ranged else Parallax(float(i), height_m - 8.0, 0.3)
+        if not ranged:
+            sources.parallax.append(Parallax(float(i), height_m - 8.0, 0.3))
         state = VehicleState(t_s=float(i), down_m=-8.0, **told)
         f = sources.correct(f, POSE, state, (SIZE_M, SIZE_STD, MIDDLE), TRUST)
         assert abs(math.log(f.size_m / SIZE_M)) <= TRUST.contradiction_sigmas * math.hypot(SIZE_STD, 0.15)
@@ -54,6 +55,22 @@ def test_a_height_as_expected_makes_it_more_certain_and_never_more_than_kalmans_
     assert before * std_m**2 / (before + std_m**2) - 1e-9 <= now < before
     assert np.linalg.eigvalsh(after.covariance)[0] > -1e-9
     assert np.all(np.diag(after.covariance) <= np.diag(f.covariance) + 1e-12)
+
+
+@given(
+    st.lists(st.tuples(st.floats(-3.0, 3.0), st.floats(0.2, 2.0)), min_size=1, max_size=8),
+    st.floats(0.0, 0.9),
+)
+def test_the_mean_of_parallaxes_is_the_least_squares_one_and_never_better_than_what_they_share(words, shared):
+    seen = [Parallax(0.0, down, std, shared * std) for down, std in words]
+    down_m, std_m = mean_parallax(seen)
+    own = np.array([std * math.sqrt(1 - shared**2) for _, std in words])
+    fitted, *_ = np.linalg.lstsq((1 / own)[:, None], np.array([down for down, _ in words]) / own, rcond=None)
+    assert abs(down_m - float(fitted[0])) < 1e-6
+    assert std_m >= shared * min(std for _, std in words) - 1e-9
+    assert std_m <= max(std for _, std in words) + 1e-9
+    if shared == 0.0:
+        assert abs(std_m - 1 / math.sqrt(float(np.sum(own**-2)))) < 1e-9
 
 
 def test_the_start_counts_once_because_its_error_is_one_and_the_same():

@@ -6,8 +6,10 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from follow.control.image_motion import FEWEST, ImageMotionMeter, corners, shrunk_grey, solve
+from follow.control.image_motion import FEWEST, ImageMotionMeter, corners, goes_along, shrunk_grey, solve
 from follow.geometry import Intrinsics, camera_to_ned, ground_points
 from follow.messages import Frame, ImageMotion, VehicleState
 from follow.safety.consistency import Consistency, box_gain, whole_gain
@@ -191,6 +193,17 @@ def test_parallax_tells_the_height_above_the_ground_around_the_feet(lower_m):
     for m in told:
         assert abs(m.height_m - (8.0 + lower_m)) < 3 * m.height_std_m
         assert m.height_std_m < 0.35 * m.height_m
+
+
+@given(st.floats(0.65, 1.35), st.floats(-math.pi, math.pi), st.floats(0.8, 4.0), st.floats(0.0, 0.2))
+def test_a_shadow_goes_along_with_its_target_and_the_ground_beside_it_does_not(ratio, angle, speed, noise):
+    """`ratio`: of the ground's motion to the expected one; `speed`: of the target over the ground, in that motion."""
+    t = np.array([[0.0, 10.0]] * 4)
+    went = t[0] + 10.0 * speed * np.array([math.sin(angle), math.cos(angle)])
+    wobble = 10.0 * noise * np.array([[1.0, 0.0], [0.0, -1.0], [-0.7, 0.7], [0.0, 0.0]])
+    assert np.all(goes_along(went + wobble, t, went))
+    assert not np.any(goes_along(ratio * t, t, went))
+    assert not np.any(goes_along(ratio * t, t, t[0]))  # a target that stands
 
 
 def test_a_vehicle_that_only_turns_is_told_no_height():

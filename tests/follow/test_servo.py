@@ -1,10 +1,12 @@
 import math
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from follow.control.servo import EDGE, NEAR_EDGE, Servo, ServoConfig, ServoMode
+from follow.geometry import ned_to_heading
 from follow.messages import NEVER, Autopilot, Estimate, Setpoint, VehicleState
 from follow.safety.limits import Limits
 from follow.selection import HOVER_HERE, Wanted
@@ -73,6 +75,23 @@ def test_it_does_not_speed_up_while_its_lean_holds_the_target_at_the_top_edge(fl
         assert asked <= flown + 1e-9
     if above <= NEAR_EDGE or free <= flown:
         assert asked == pytest.approx(free)
+
+
+@given(*[st.floats(-0.6, 0.6)] * 3, st.floats(6.0, 20.0), st.floats(0.2, 0.9), st.floats(-3, 3))
+def test_what_the_position_drifts_beside_the_velocity_is_taken_off_whatever_else_is_desired(
+    north, east, down, range_m, depression, yaw
+):
+    """The positions then move as those of a vehicle that reports its velocity rightly."""
+    seen = {"range_m": range_m, "depression": depression, "north_m_s": 1.4, "east_m_s": -0.3}
+    moving = VehicleState(t_s=0.0, yaw_rad=yaw, north_m_s=1.0, east_m_s=0.2, down_m_s=-0.1)
+    right = replace(moving, north_m_s=1.0 + north, east_m_s=0.2 + east, down_m_s=down - 0.1)
+    drifts = desired(estimate(**seen, drift_north_m_s=north, drift_east_m_s=east, drift_down_m_s=down), moving)
+    still = desired(estimate(**seen), right)
+    forward, aside = ned_to_heading(north, east, yaw)
+    assert drifts.forward_m_s + forward == pytest.approx(still.forward_m_s)
+    assert drifts.right_m_s + aside == pytest.approx(still.right_m_s)
+    assert drifts.down_m_s + down == pytest.approx(still.down_m_s)
+    assert drifts.yaw_rate_rad_s == pytest.approx(still.yaw_rate_rad_s)
 
 
 @given(st.floats(-5.0, -0.1), st.floats(-0.7, 0.0))
