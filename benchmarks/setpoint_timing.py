@@ -1,7 +1,7 @@
 """When setpoints arrive: `follow run` at 30 frames/s, recording, against `python -m sim.autopilot` over UDP.
 
     python -m benchmarks.setpoint_timing --seconds 60 [--autopilot ardupilot] [--let-cores-sleep] [--disk-stall 5]
-    python -m benchmarks.setpoint_timing --watchers 10 --clicks 1000
+    python -m benchmarks.setpoint_timing --watchers 10 --clicks 1000 --ground --ground-clicks 1000
 
 A relay between the two notes when each setpoint passes.  Prints the intervals and the time from a frame to its
 setpoint; exits 1 when their p99 is above 60 ms or one is above 150 ms.  It also prints how much of this machine's
@@ -10,6 +10,8 @@ The cores are kept awake by processes of the lowest priority, for a virtual mach
 one has its governor at performance (docs/service).
 
 With `--watchers` and `--clicks` the operator's page is on, and another process loads it (`benchmarks.page_load`).
+With `--ground` a ground station finds the camera, draws its box again every 5 s and gets the video; `--ground-clicks` a
+second come from another one.
 With `--disk-stall SECONDS` the recording goes to a file system of its own that is frozen for that time again and again:
 every write to it waits (needs root, mkfs.ext4 and fsfreeze).  Between two stalls it is left alone for as long, one
 second to catch up apart, which counts to the stall.  What else this machine does falls on both, so the stalls are
@@ -39,6 +41,7 @@ os.environ["MAVLINK20"] = "1"
 
 from follow.messages import Autopilot  # noqa: E402
 from sim.scenarios import SCENARIOS, build  # noqa: E402
+from tests.support.ground_load import GroundLoad  # noqa: E402
 from tests.support.machine import awake, processor_ticks, stolen  # noqa: E402
 from tests.support.real_flight import free_ports, real_flight  # noqa: E402
 
@@ -145,6 +148,8 @@ def main() -> int:
     parser.add_argument("--let-cores-sleep", action="store_true")
     parser.add_argument("--watchers", type=int, default=0, help="windows of the page")
     parser.add_argument("--clicks", type=float, default=0.0, help="into the page, 1/s")
+    parser.add_argument("--ground", action="store_true", help="ground camera and video")
+    parser.add_argument("--ground-clicks", type=float, default=0.0, help="of another ground station, 1/s")
     parser.add_argument("--disk-stall", type=float, default=0.0, metavar="SECONDS")
     options = parser.parse_args()
     with contextlib.ExitStack() as stack:
@@ -154,14 +159,20 @@ def main() -> int:
         if options.disk_stall:
             out = str(stack.enter_context(own_disk(Path(out))))
         flags, page = ["--seconds", "600"], ""
+        ground = GroundLoad(options.ground_clicks) if options.ground else None
+        box = build(SCENARIOS["walker"], 0, Autopilot(options.autopilot))[0].first()[1]
         if options.watchers or options.clicks:
             page = f"127.0.0.1:{free_ports(1)[0]}"
-            box = build(SCENARIOS["walker"], 0, Autopilot(options.autopilot))[0].first()[1]
-            flags += ["--page", page, "--target", f"{box.x:.0f},{box.y:.0f},{box.w:.0f},{box.h:.0f}"]
+            flags += ["--page", page]
+        flags += ground.options if ground is not None else []
+        if page or ground is not None:
+            flags += ["--target", f"{box.x:.0f},{box.y:.0f},{box.w:.0f},{box.h:.0f}"]
         with real_flight(options.autopilot, Path(out), options=flags) as real:
             real.order()
             if page:
                 stack.enter_context(loaded(page, options))
+            if ground is not None:
+                stack.enter_context(ground.beside(real.pilot))
             began, ticks = time.monotonic(), processor_ticks()
             seconds = options.seconds
             stall = nullcontext([])
@@ -180,6 +191,9 @@ def main() -> int:
     frames = np.array([float(row["frame_t_s"]) for row in rows])  # one machine, one monotonic clock
     latency = [1e3 * (t - frames[i - 1]) for t in times if (i := int(np.searchsorted(frames, t))) > 0]
     p50, p99 = np.percentile(intervals, (50, 99))
+    if ground is not None:
+        video_mb = ground.received / 1e6
+        print(f"ground: {ground.clicked} clicks, {ground.boxes} boxes shown, {video_mb:.1f} MB of video")
     print(f"{len(times)} setpoints in {seconds:g} s")
     unharmed = True
     if options.disk_stall:

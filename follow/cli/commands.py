@@ -12,6 +12,7 @@ from follow.camera.lens_fit import LensKind
 from follow.config import CameraConfig, Config, TargetKind
 from follow.geometry import Intrinsics
 from follow.messages import Autopilot
+from follow.operator.stick_trims import parse_trims
 from racf.box import Box
 from racf.commandline import UsageError
 
@@ -151,6 +152,9 @@ class RunCommand:
     """Order FOLLOW once, as soon as every check is green."""
     rc_channel: Annotated[int | None, tyro.conf.arg(metavar="1-18")] = None
     """Channel of the remote control whose switch orders FOLLOW (up) and OBSERVE (down). Default: no switch."""
+    stick_trims: Annotated[str | None, tyro.conf.arg(metavar="RIGHT,FORWARD,UP")] = None
+    """Channels of the remote control that trim while it follows: aside, nearer, higher; as 1,-2,3 (minus: reversed).
+    Up to 30 % of a stick's travel; beyond it the stick takes the vehicle over, as every stick does by default."""
     waive: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """Name of a check of `follow doctor` that may be red. Repeat it for several."""
     simulated: bool = False
@@ -199,6 +203,8 @@ class RunCommand:
         require_system_id(self.system_id)
         if self.rc_channel is not None and not 1 <= self.rc_channel <= 18:
             raise ValueError(f"--rc-channel lies in 1..18, not {self.rc_channel}")
+        if self.stick_trims is not None:
+            parse_trims(self.stick_trims)
         if not 0 <= self.seconds < math.inf:
             raise ValueError(f"--seconds is 0 or more, not {self.seconds:g}")
         if not 0 <= self.ground_delay_s <= 1.5:

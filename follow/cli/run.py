@@ -48,6 +48,7 @@ from follow.messages import Autopilot, Notify, Tick
 from follow.operator.authority import Keys, Operator
 from follow.operator.autopilot_texts import AutopilotTexts
 from follow.operator.page.exchange import Exchange
+from follow.operator.stick_trims import StickTrims, parse_trims
 from follow.operator.terminal import Terminal
 from follow.recording.exact import Setup
 from follow.recording.folder import claimed
@@ -318,9 +319,11 @@ def fly_prepared(
             operator.aim = tracker.restart
         sees: list[Callable[[Tick], object]] = [lambda tick: recorder.tick(tick, seen.truth(tick))]
         consoles = consoles_of(operator, tracker, report, seen.config.servo, follows=command.ground_follows)
-        if command.ground is not None or exchange is not None:
+        if command.ground is not None or exchange is not None or command.stick_trims is not None:
             operator.wanted = lambda: consoles.wanted
             sees.append(consoles.see)
+        if command.stick_trims is not None:
+            sees.append(StickTrims(parse_trims(command.stick_trims), consoles, link.client.heard).see)
         sees += open_sides.enter_context(ground_sides(command, link, seen.lens, consoles, report))
         if exchange is not None:
             sees.append(open_sides.enter_context(desk_of(exchange, consoles, command.out, is_dry=command.dry_run)).see)

@@ -246,7 +246,12 @@ class Consoles:
             w = replace(w, around_m_s=AROUND_M_S if command is ConsoleCommand.RIGHT else -AROUND_M_S)
             self.around_until_s = self.t_s + AROUND_STEP_S
         self.wanted = w
-        return Reply(True, f"stand-off {self.standoff_m * w.standoff_factor:.0f} m, {math.degrees(w.raise_rad):+.0f}°")
+        return Reply(True, self.trimmed())
+
+    def trimmed(self) -> str:
+        """What the trims have made of the wanted geometry."""
+        w = self.wanted
+        return f"stand-off {self.standoff_m * w.standoff_factor:.0f} m, {math.degrees(w.raise_rad):+.0f}°"
 
     def proposal(self) -> str:
         """What would be flown: range, height, stand-off and mode."""

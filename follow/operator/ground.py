@@ -1,9 +1,10 @@
 """Ground stations: behind the autopilot on its link, or talking to us directly.
 
-Called in the loop's thread; nothing here waits.  At most DATAGRAMS arrive in a round from the direct side, so that a
-flood of them does not delay a setpoint.
+Called in the loop's thread; nothing here waits.  A flood delays neither a setpoint nor anybody's STOP: in a round at
+most READ datagrams are read from the direct side, at most HEEDED of them are heeded, every sender's newest first.
 """
 
+from collections import deque
 from collections.abc import Callable
 from typing import Protocol
 
@@ -16,7 +17,8 @@ from follow.operator.consoles import Consoles
 from follow.operator.ground_camera import GroundCamera
 from follow.operator.told import PilotTexts
 
-DATAGRAMS = 20
+READ = 300  # a few microseconds each; 9000 a second
+HEEDED = 20  # each costs some 50 microseconds to decode and to answer
 STATIONS = 4  # ground stations that are answered directly at a time: the last that were heard
 HEARD_S = 10.0
 
@@ -40,10 +42,7 @@ class DirectSide:
     def receive(self, t_s: float) -> list[Message]:
         """The messages that came since the last round."""
         messages: list[Message] = []
-        for _ in range(DATAGRAMS):
-            data, source = self._transport.read(0.0)
-            if not data:
-                break
+        for source, data in self._waiting():
             found = self._packets.read_datagram(data) if self._transport.datagrams else self._packets.read(data)
             if found:
                 self._heard_t_s.pop(source, None)
@@ -52,6 +51,25 @@ class DirectSide:
         recent = [(source, at) for source, at in self._heard_t_s.items() if t_s - at < HEARD_S]
         self._heard_t_s = dict(recent[-STATIONS:])
         return messages
+
+    def _waiting(self) -> list[tuple[Source, bytes]]:
+        """What to heed in this round, in the order of arrival: of each sender as many as of the others, the newest."""
+        arrived: list[tuple[Source, bytes]] = []
+        while len(arrived) < READ:
+            data, source = self._transport.read(0.0)
+            if not data:
+                break
+            arrived.append((source, data))
+        if len(arrived) <= HEEDED or not self._transport.datagrams:  # a stream of bytes has one sender and no gaps
+            return arrived
+        taken = dict.fromkeys((source for source, _ in arrived), 0)
+        share = max(HEEDED // len(taken), 1)
+        heeded: list[tuple[Source, bytes]] = []
+        for source, data in reversed(arrived):
+            taken[source] += 1
+            if taken[source] <= share and len(heeded) < HEEDED:
+                heeded.append((source, data))
+        return heeded[::-1]
 
     @property
     def hosts(self) -> tuple[str, ...]:
@@ -87,17 +105,18 @@ class GroundSide:
     ) -> None:
         self._link, self._camera, self._consoles, self._texts, self._direct = link, camera, consoles, texts, direct
         self._heard = heard
-        self._waiting: list[tuple[Message, float]] = []
+        self._waiting: deque[tuple[Message, float]] = deque(maxlen=HEEDED)  # the newest count: STOP follows a flood
 
     def hear(self, message: Message, t_s: float) -> None:
         """Take a message of the autopilot's link; it is answered in the next round."""
-        if len(self._waiting) < DATAGRAMS and message.get_type() in ("COMMAND_LONG", "COMMAND_INT"):
+        if message.get_type() in ("COMMAND_LONG", "COMMAND_INT"):
             self._waiting.append((message, t_s))
 
     def see(self, tick: Tick) -> None:
         """Take one round, after the consoles did."""
         t_s = tick.state.t_s
-        waiting, self._waiting = self._waiting, []
+        waiting = list(self._waiting)
+        self._waiting.clear()
         if self._direct is not None and t_s > NEVER:
             waiting += [(message, t_s) for message in self._direct.receive(t_s)]
             if self._heard is not None:

@@ -26,7 +26,7 @@ from follow.selection import TrackingState, TrackingStatus
 
 PORT = 5600  # QGroundControl's own for RTP over UDP
 CLOSE_S = 2.0  # maximum wait at the end for a server that does not answer
-DELAYS = 60  # frames whose delay is kept: two seconds
+DELAYS = 30  # frames whose delay is kept: a second
 GREEN, AMBER, WHITE = (80, 220, 60), (0, 170, 255), (255, 255, 255)  # BGR
 
 
@@ -111,9 +111,9 @@ class VideoOut:
 
     @property
     def delay_s(self) -> float:
-        """Median time from the taking of a frame to its sending; NaN before the first."""
+        """Median time from the taking of a frame to its sending; NaN in the first second, while the encoder starts."""
         delays = list(self._delays)
-        return median(delays) if delays else float("nan")
+        return median(delays) if len(delays) == DELAYS else float("nan")
 
     @property
     def dropped(self) -> int:

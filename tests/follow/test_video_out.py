@@ -18,6 +18,7 @@ from follow.messages import Frame
 from follow.operator import video_stream
 from follow.operator.ground import DirectSide
 from follow.operator.video_out import (
+    DELAYS,
     Overlay,
     VideoAddress,
     VideoConfig,
@@ -181,8 +182,17 @@ def test_nothing_is_encoded_before_a_ground_station_is_heard():
         video.close()
     receiver = Receiver(SIZE)
     assert {7, 8} <= nal_types([first]), "it begins with the parameters"
-    assert math.isfinite(video.delay_s)
     assert receiver.take([first]) == []
+
+
+def test_the_delay_is_from_the_taking_of_a_frame_to_its_sending():
+    video = VideoOut(VideoAddress("127.0.0.1", 9), VideoConfig(encoder=Encoder.LIBX264), print)
+    stream = type("Stream", (), {"show": lambda *_: True})()
+    for n in range(DELAYS):
+        assert math.isnan(video.delay_s), "the first frames wait for the encoder to start"
+        video._send(stream, numbered(n, SIZE), time.monotonic() - (9.0 if n == 0 else 0.25), None)
+    assert 0.25 <= video.delay_s < 0.5
+    video.close()
 
 
 def test_the_rate_is_at_most_the_wanted_one():

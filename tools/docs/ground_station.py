@@ -58,7 +58,7 @@ def fly(rules: str, variant: str, direct: bool, seconds: float, out: Path) -> li
             real.application.wait_until_said(": follow", 20.0)
             boxes = station.boxes
             time.sleep(seconds)
-            assert real.pilot.flown_mode() == CONTROL[rules]
+            assert real.pilot.flown_mode() == CONTROL[rules], real.application.lines
             seen = (station.boxes - boxes) / seconds
             station.stop()
             real.application.wait_until_said("OBSERVE ordered by", 5.0)

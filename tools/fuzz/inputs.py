@@ -39,6 +39,7 @@ from racf.evaluate.boxfiles import read_boxes
 from racf.video_writer import VideoWriter
 from sim.autopilot.system import AutopilotSystem
 from sim.dynamics import Vehicle, VehicleTruth
+from tools.fuzz.ground import ground_target
 
 HANG_S = 5.0  # longer than any of these may take on a small board
 REFUSALS = (ValueError, OSError, CameraError, UsageError)
@@ -176,6 +177,7 @@ def targets(folder: Path) -> dict[str, tuple[list[bytes], Target]]:
     stills_folder.mkdir()
     return {
         "mavlink": mavlink_target(),
+        "ground stations": ground_target(),
         "command lines": (words, command_line),
         "settings files": (settings_seeds(), file_target(folder / "settings.toml", settings)),
         "boxes in the command line": ([b"1,2,3,4"], lambda data: str(Box.parse(data.decode())) and None),

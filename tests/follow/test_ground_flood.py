@@ -1,0 +1,63 @@
+"""A thousand clicks a second: a bounded part is heeded, and nobody's STOP waits behind them."""
+
+import pytest
+from pymavlink.dialects.v20 import common as dialect
+
+from follow.messages import Order
+from follow.operator.ground import HEEDED
+from tests.follow.test_ground_forged import CAMERA, STATION, STOP, Flight, beat, command
+from tests.follow.test_link_identity import STRANGER, VEHICLE, speak
+from tools.fuzz.ground import GroundTarget
+
+CLICK = 2004
+
+
+def click(n, sender=(255, 190)):
+    numbers = 0.3 + 0.0001 * (n % 1000), 0.5, 0.03
+    message = dialect.MAVLink_command_long_message(*CAMERA, CLICK, 0, *numbers, 0.0, 0.0, 0.0, 0.0)
+    return message.pack(dialect.MAVLink(None, *sender))
+
+
+def acks(flight):
+    parser = dialect.MAVLink(None)
+    messages = [m for packet, _ in flight.line.sent for m in parser.parse_buffer(packet) or []]
+    return [m for m in messages if m.get_type() == "COMMAND_ACK"]
+
+
+@pytest.mark.parametrize("clicker", [STATION, STRANGER], ids=["its own", "a stranger's"])
+def test_a_stop_behind_a_flood_of_clicks_acts_in_its_round(clicker):
+    flight = Flight()
+    for n in range(33):
+        flight.line.arrived.append((click(n), clicker))
+    flight.line.arrived.append((command(STOP), STATION))
+    flight.round()
+    assert any(order is Order.OBSERVE for order, _by in flight.orders)
+    assert len(acks(flight)) <= 2 * HEEDED, "an answer goes to each station"
+
+
+def test_a_stop_before_the_flood_of_another_acts_also():
+    flight = Flight()
+    flight.line.arrived.append((command(STOP), STATION))
+    for n in range(200):
+        flight.line.arrived.append((click(n, (42, 190)), STRANGER))
+    flight.round()
+    assert any(order is Order.OBSERVE for order, _by in flight.orders)
+
+
+def test_a_stop_behind_a_flood_through_the_autopilot_acts():
+    flight = Flight()
+    beat(flight.link)
+    speak(flight.link, [*(click(n) for n in range(200)), command(STOP)], VEHICLE)
+    flight.round()
+    assert any(order is Order.OBSERVE for order, _by in flight.orders)
+
+
+def test_of_a_second_of_a_thousand_clicks_at_most_four_reach_the_tracker():
+    target = GroundTarget()
+    target.round()
+    for n in range(30):
+        target.t_s += 1 / 30 - 0.05  # a round adds 0.05 s
+        target.air.waiting += [(click(34 * n + k), STATION) for k in range(34)]
+        target.round()
+    assert 1 <= len(target.chosen) <= 4
+    assert not target.air.waiting
