@@ -123,7 +123,7 @@ def flown_with(flight: Path) -> tuple[str, Table]:
     """The settings of a recorded flight, as a layer.  Raises UsageError for a folder without them."""
     try:
         setup = read_setup(flight / "messages.jsonl.gz")
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         raise UsageError(f"{str(flight)!r} holds no messages.jsonl.gz: give the folder of a recorded flight") from None
     except (OSError, ValueError) as error:
         raise UsageError(f"the flight in {str(flight)!r} cannot be read: {error}") from None

@@ -1,5 +1,6 @@
 """The `follow` command line: reads the words and runs the command that they spell."""
 
+import os
 import sys
 from collections.abc import Sequence
 
@@ -71,6 +72,12 @@ def execute(words: Sequence[str]) -> None:
 def main(argv: Sequence[str] | None = None) -> int:
     """The program; returns the exit status."""
     words = sys.argv[1:] if argv is None else argv
-    return guarded(
+    status = guarded(
         lambda: execute(words), prog="follow", failures=(CameraError, LinkError, NotFitError, RecordingError)
     )
+    log = sys.modules.get("follow.recording.rerun_log")
+    if argv is None and log is not None and log.BROKEN:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(status)  # everything is closed; Rerun would wait for the full disk for ever
+    return status

@@ -38,7 +38,7 @@ class FlightTable:
         try:
             with path.open(newline="", encoding="utf-8") as file:
                 whole = list(csv.reader(file))
-        except FileNotFoundError:
+        except (FileNotFoundError, NotADirectoryError):
             raise ValueError(f"{str(folder)!r} holds no ticks.csv: give the folder of a flight") from None
         rows = [row for row in whole[1:] if len(row) == len(whole[0])]  # a killed flight's last row may be torn
         if not rows or "t_s" not in whole[0]:

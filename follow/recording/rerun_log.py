@@ -25,7 +25,7 @@ from racf.box import Box
 from racf.track import Track
 
 APPLICATION = "follow-me"
-FLUSH_TIMEOUT_S = 60.0  # a disk that takes longer counts as broken
+FLUSH_TIMEOUT_S = 50.0  # a disk that takes longer counts as broken; less than the wait for it at the end (CLOSE_S)
 RESPONSE_QUALITY = 80  # of JPEG: a smooth image
 RESPONSE_EVERY_S = 0.2  # response and mask change little from frame to frame
 MODE_LINE = re.compile(r"\d+\.\d s: (\w+)")  # how a change of mode is reported
@@ -46,6 +46,10 @@ class Pace:
     frame_s: float = 0.0
     curves_s: float = 4.0  # a batch of each curve costs 1.5 kB; ticks.csv has each row within a second
     flush_s: float = 2.0  # of images: a kill loses the last ones
+
+
+BROKEN: list[rr.RecordingStream] = []
+"""Streams whose file or viewer takes nothing more: Rerun waits for them for ever when they are closed or dropped."""
 
 
 class RerunRecording:
@@ -134,6 +138,7 @@ class RerunRecording:
         try:
             self._recording.flush(timeout_sec=self._flush_timeout_s)
         except RuntimeError as error:  # Rerun writes the cause to its own log only
+            BROKEN.append(self._recording)
             raise OSError(f"{self._name} is no longer written: {error}; the flight goes on") from None
 
     def close(self) -> None:
@@ -143,7 +148,8 @@ class RerunRecording:
             self._send_curves()
             self.flush()
         finally:
-            self._recording.disconnect()
+            if self._recording not in BROKEN:
+                self._recording.disconnect()
 
     def _samples(self, samples: Iterable[Sample]) -> None:
         for sample in samples:

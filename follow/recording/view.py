@@ -39,13 +39,20 @@ def to_viewer(view: str, about: str, desired: Desired | None, report: Notify) ->
             elif view == WEB:
                 url = recording.serve_grpc(default_blueprint=blueprint, server_memory_limit=MEMORY)
                 rr.serve_web_viewer(open_browser=False, connect_to=url)
-                report(f"the flight can be seen at http://{own_address()}:9090/?url={urllib.parse.quote(url)}")
+                report(f"the flight can be seen at {page_address(url, own_address())}")
             else:
                 recording.connect_grpc(view, default_blueprint=blueprint)
         except (RuntimeError, ValueError) as error:
             raise OSError(f"the view {view} cannot be opened: {error}; the flight goes on") from None
 
     return RerunRecording(connect, f"the view {view}", JpegEncoder(JPEG_QUALITY), about, desired, PACE, FLUSH_TIMEOUT_S)
+
+
+def page_address(url: str, host: str) -> str:
+    """The viewer's page with the stream of `url`, both by the address `host` at which others reach this computer."""
+    there = urllib.parse.urlsplit(url)
+    stream = there._replace(netloc=f"{host}:{there.port}").geturl()
+    return f"http://{host}:9090/?url={urllib.parse.quote(stream)}"
 
 
 def own_address() -> str:

@@ -1,6 +1,7 @@
 """A viewer that shows the flight while it flies costs nothing but its own frames."""
 
 import threading
+from urllib.parse import parse_qs, urlsplit
 
 import pytest
 
@@ -45,6 +46,13 @@ def test_a_view_here_needs_a_display(monkeypatch):
         check_view("here")
     check_view("web")
     check_view("rerun+http://ground:9876/proxy")
+
+
+def test_the_page_of_a_view_takes_its_stream_from_the_same_computer_wherever_the_browser_is():
+    page = urlsplit(view.page_address("rerun+http://127.0.0.1:9876/proxy", "10.0.0.7"))
+    (stream,) = parse_qs(page.query)["url"]
+    assert (page.hostname, urlsplit(stream).hostname, urlsplit(stream).port) == ("10.0.0.7", "10.0.0.7", 9876)
+    assert stream.startswith("rerun+http://")
 
 
 class StuckViewer:
