@@ -94,12 +94,14 @@ class PathDistance:
 
     `aside_m` is its distance from the path, less its own deviation; `path_m` the path's length.  `is_near` says that
     distance and height are within the filter's own uncertainty.  `unseen_s` is the time since the loss.
+    `is_on_ground` says that it is as high as the ground there can be: what is not is nobody.
     """
 
     aside_m: float
     path_m: float
     is_near: bool
     unseen_s: float
+    is_on_ground: bool = True
 
     @property
     def area_m2(self) -> float:
@@ -165,7 +167,10 @@ class Regain:
 
     def admits(self, found: Candidate, distance: PathDistance, area_m2: float, confirm: int) -> bool:
         """Whether the candidate can be the target; if so the trial goes on, or begins with it."""
-        self.found = found
+        if not all(map(math.isfinite, (*found.place, found.down_m, found.std_m))):
+            self.miss()
+            return False
+        self.found = found if distance.is_on_ground else self.found
         other = next((other for other in self.others if other.last.may_be(found)), None)
         is_other = other is not None and other.frames >= confirm
         if is_other or distance.area_m2 > area_m2:

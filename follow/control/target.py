@@ -273,14 +273,14 @@ class Target:
         range_m = math.exp(min(f.mean[7] + f.mean[10] - sight.size_log, math.log(FAR_M)))
         place = pose.position_ned + range_m * sight.toward
         own_m = range_m * math.hypot(m.size_bias_std, c.box_relative_std)
-        level = float(np.linalg.eigvalsh(f.covariance[:2, :2])[-1])
+        variance = float(np.linalg.eigvalsh(f.covariance[:2, :2])[-1])
         aside_m = distance_to_segment(place[:2], self.seen_ned[:2], f.mean[:2])
         gone_m = float(np.linalg.norm(place[:2] - self.seen_ned[:2]))
         rise_std_m = math.hypot(m.slope_std * gone_m, own_m, c.ground.start_std_m)
-        near = aside_m <= c.regain_sigmas * math.sqrt(level + own_m**2)
-        near = near and abs(place[2] - self.seen_ned[2]) <= c.regain_sigmas * rise_std_m
+        near = aside_m <= c.regain_sigmas * math.sqrt(variance + own_m**2)
+        level = bool(abs(place[2] - self.seen_ned[2]) <= c.regain_sigmas * rise_std_m)
         path_m = float(np.linalg.norm(f.mean[:2] - self.seen_ned[:2]))
-        distance = PathDistance(max(aside_m - own_m, 0.0), path_m, near, f.t_s - self.seen_t_s)
+        distance = PathDistance(max(aside_m - own_m, 0.0), path_m, near and level, f.t_s - self.seen_t_s, level)
         return self.regain.admits(
             Candidate(f.t_s, place[:2], own_m, float(place[2])), distance, c.regain_area_m2, c.confirm
         )

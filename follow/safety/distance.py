@@ -87,8 +87,10 @@ def worst(estimate: Estimate, state: VehicleState, limits: Limits) -> Worst:
     return Worst(sight, max(near, 0.0), max(below - top, 0.0), -away, spare)
 
 
-def worst_other(other: OtherSighting, state: VehicleState) -> Worst:
-    """Somebody who is not taken for the target, and may walk towards the vehicle."""
+def worst_other(other: OtherSighting | None, state: VehicleState) -> Worst | None:
+    """Somebody who is not taken for the target, and may walk towards the vehicle; None for nobody."""
+    if other is None or not all(map(math.isfinite, (other.azimuth_rad, other.range_m, other.below_m))):
+        return None
     above_m = max(other.below_m - HEAD_M / 2, 0.0)
     return Worst(state.yaw_rad + other.azimuth_rad, max(other.range_m, 0.0), above_m, WALK_M_S)
 

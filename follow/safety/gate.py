@@ -168,7 +168,7 @@ def decide(
         return gate, Decision(None, authority.mode, notes, authority.reason, authority.release)
     velocity, turn, held, reach = (0.0, 0.0, 0.0), 0.0, (), TargetReach()
     if is_fresh:
-        another = None if estimate.other is None else worst_other(estimate.other, state)
+        another = worst_other(estimate.other, state)
         velocity, turn, held = permitted(gate, desired, target, another, state, unseen_s, limits)
         if gate.mode is Mode.FOLLOW:
             reach = watched_reach(gate.reach, desired, velocity[:2], target, state, limits)

@@ -138,6 +138,17 @@ def test_whoever_is_found_while_the_target_is_lost_is_told_as_a_place_for_a_seco
     assert watcher.target.estimate(replace(state, t_s=state.t_s + 1.5)).other is None
 
 
+def test_a_box_that_is_none_or_stands_in_the_air_is_nobody():
+    watcher = Watcher(0.0)
+    state = watcher.state(watcher.last_s + 2.0, (0.0, 0.0))
+    true = box_of((0.0, 0.0), state)
+    forged = object.__new__(type(true))
+    for name in type(true).__slots__:
+        object.__setattr__(forged, name, math.nan)
+    for box in (forged, true.scaled(5.0).moved(0.0, -150.0)):
+        assert watcher.target.update(seen(box), state, state.t_s).other is None
+
+
 def test_the_operator_and_the_pilot_are_told_once():
     lines, sent = [], []
 

@@ -1,5 +1,6 @@
 """A target that a person chooses in flight: it is looked for as long as a lost one, and nothing is flown blindly."""
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -74,6 +75,18 @@ def test_somebody_who_is_found_while_the_target_is_lost_is_kept_from(range_m, lo
     assert decision.setpoint.forward_m_s < -0.2  # from 3 m/s forward, in 1.5 s
     assert decision.setpoint.down_m_s < -0.2
     assert any("another person" in note for note in decision.notes)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("field", ["azimuth_rad", "range_m", "below_m"])
+def test_a_sighting_that_is_not_finite_counts_as_none(field, value):
+    safety, t_s = engaged()
+    for i in range(1, 200):
+        now = t_s + i * DT
+        guess = replace(seen(now), seen_t_s=t_s, other=replace(OtherSighting(0.0, 8.0, 2.0), **{field: value}))
+        decision = safety.allow(Setpoint(3.0), guess, flying(now, **obeyed(safety)), now)
+        assert decision.setpoint.is_finite()
+    assert decision.setpoint.forward_m_s == pytest.approx(0.0, abs=1e-9)
 
 
 def test_unseen_it_does_not_descend():
