@@ -214,6 +214,7 @@ class Servo:
         stays = c.mode is ServoMode.SPOTLIGHT  # it cannot come nearer, so it keeps the target in the middle row
         beyond = 0.0 if stays else min(max(estimate.range_m / c.standoff_m - 1.0, 0.0), 1.0)
         leaning = min(max(axis, self.down_rad), self.down_rad + c.band_rad)
+        leaning += (1.0 - beyond) * max(axis - leaning, 0.0)  # at the stand-off the lean is that of steady flight
         highest = c.height_ratio * c.standoff_m * math.tan(min(max(leaning, c.band_rad), STEEPEST_RAD))
         most = estimate.range_m * math.tan(axis)
         now = axis + beyond * max(self.down_rad - state.pitch_rad - axis, 0.0)

@@ -81,3 +81,18 @@ def test_someone_who_comes_toward_it_does_not_meet_it(speed, down, least, autopi
     ).fly()
     assert math.isfinite(flight.ticks[-1].estimate.range_m)
     assert flight.to_body().min() > least
+
+
+@pytest.mark.parametrize("rate", [-0.1, -0.03, 0.05])
+def test_a_box_that_shrinks_or_grows_on_its_target_is_held_against_the_grounds_motion(rate):
+    """To 0.4 or 2.2 of the target's size, at `rate` per second; without that motion it is as a hill, and only the
+    least distance is promised."""
+
+    def grown(t_s):
+        return min(max(1.0 + rate * max(t_s - 10.0, 0.0), 0.4), 2.2)
+
+    flight = GroundFlight(walk(1.4), end_s=40.0, grown=grown, parallax=True).fly()
+    assert flight.ranges()[300:].min() / flight.servo.standoff_m > 0.7
+    assert flight.ranges()[300:].max() / flight.servo.standoff_m < 1.3
+    alone = GroundFlight(walk(1.4), end_s=40.0, grown=grown).fly()
+    assert alone.to_body().min() > Limits().min_standoff_m

@@ -102,6 +102,7 @@ class GroundFlight:
     target: TargetConfig = field(default_factory=TargetConfig)
     limits: Limits = field(default_factory=Limits)
     visible: Callable[[float], bool] = lambda t_s: True
+    grown: Callable[[float], float] = lambda t_s: 1.0  # by what factor the tracker's box is wrong
     parallax: bool = False  # whether the ground's motion in the image is measured
     state: Callable[[VehicleState], VehicleState] = lambda state: state  # what the estimator hears
     watch: Callable[[], None] = lambda: None  # runs after each tick, while the estimate is that of the tick
@@ -119,7 +120,7 @@ class GroundFlight:
             return None
         right, down, grown = self._errors()
         x, y = pixels[0] + LENS.fx * np.array([right, down])
-        scale = LENS.fx / depth[0] * math.exp(grown)
+        scale = LENS.fx / depth[0] * math.exp(grown) * self.grown(t_s)
         inside = 0 < x < LENS.width and 0 < y < LENS.height
         return Box.around(float(x), float(y), self.size_m[0] * scale, self.size_m[1] * scale) if inside else None
 
