@@ -11,17 +11,19 @@ import json
 import struct
 import threading
 import time
+from collections.abc import Iterator
 
 import numpy as np
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
 
-def opened(host: str, key: int) -> ClientConnection:
+@contextlib.contextmanager
+def opened(host: str, key: int) -> Iterator[ClientConnection]:
     """A window of the page."""
-    window = connect(f"ws://{host}/window", origin=f"http://{host}", compression=None)
-    window.send(f"{key:016x}")
-    return window
+    with connect(f"ws://{host}/window", origin=f"http://{host}", compression=None) as window:
+        window.send(f"{key:016x}")
+        yield window
 
 
 def watch(host: str, key: int, end_s: float, counts: list[int], *, shows: bool) -> None:

@@ -52,7 +52,7 @@ def video_address(command: RunCommand) -> VideoAddress | None:
 def ground_sides(
     command: RunCommand, link: MavlinkLink, lens: Intrinsics, consoles: Consoles, report: Notify
 ) -> Generator[list[Callable[[Tick], object]], None, None]:
-    """What takes each tick for the ground: its camera if --ground names one, and the video."""
+    """What takes each tick for the ground: its camera if --ground names one, else the pilot's texts, and the video."""
     with contextlib.ExitStack() as stack:
         sees: list[Callable[[Tick], object]] = []
         address, video = video_address(command), None
@@ -64,6 +64,10 @@ def ground_sides(
             ground = ground_side(command, link, lens, consoles, address, video)
             stack.callback(ground.close)
             sees.append(ground.see)
+        elif command.page is not None:
+            texts = PilotTexts(link.client)
+            consoles.tell = texts.say
+            sees.append(texts.see)
         if video is not None:
             sees.append(DelayWatch(video, command.ground_delay_s, report).see)
         yield sees

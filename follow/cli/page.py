@@ -1,7 +1,7 @@
 """`--page`: builds the operator's page for `follow run` and `follow sim`."""
 
 import contextlib
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -62,10 +62,15 @@ def open_page(
 
 @contextlib.contextmanager
 def desk_of(
-    exchange: Exchange, consoles: Consoles, out: Path, *, is_dry: bool = False
+    exchange: Exchange,
+    consoles: Consoles,
+    out: Path,
+    *,
+    is_dry: bool = False,
+    charge: Callable[[], int | None] = lambda: None,
 ) -> Generator[PageDesk, None, None]:
     """The loop's side of the page while a flight is flown; `is_dry`: FOLLOW is only pretended."""
-    desk = PageDesk(consoles, exchange, out.resolve().name, "(DRY RUN)" if is_dry else "")
+    desk = PageDesk(consoles, exchange, out.resolve().name, "(DRY RUN)" if is_dry else "", charge)
     try:
         yield desk
     finally:

@@ -326,7 +326,9 @@ def fly_prepared(
             sees.append(StickTrims(parse_trims(command.stick_trims), consoles, link.client.heard).see)
         sees += open_sides.enter_context(ground_sides(command, link, seen.lens, consoles, report))
         if exchange is not None:
-            sees.append(open_sides.enter_context(desk_of(exchange, consoles, command.out, is_dry=command.dry_run)).see)
+            charge = link.client.heard.charge_percent
+            desk = desk_of(exchange, consoles, command.out, is_dry=command.dry_run, charge=charge)
+            sees.append(open_sides.enter_context(desk).see)
 
         def see(tick: Tick) -> None:
             for take in sees:

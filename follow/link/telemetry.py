@@ -71,6 +71,11 @@ class LinkObservations:
     version: dialect.MAVLink_autopilot_version_message | None = None  # AUTOPILOT_VERSION
     status: dialect.MAVLink_sys_status_message | None = None  # SYS_STATUS
 
+    def charge_percent(self) -> int | None:
+        """What is left in the battery by SYS_STATUS; None if the autopilot does not know (-1)."""
+        left = -1 if self.status is None else self.status.battery_remaining
+        return left if 0 <= left <= 100 else None
+
 
 class TelemetryDecoder:
     """Listens for one vehicle: the PX4 or ArduPilot multirotor of `system_id`, or the first one heard if None.

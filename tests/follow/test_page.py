@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pymavlink.dialects.v20 import common as dialect
 from websockets.exceptions import ConnectionClosed
 
+from follow.link.telemetry import LinkObservations
 from follow.messages import Mode, Order
 from follow.operator.consoles import DRAWN_S
 from follow.operator.page import windows
@@ -211,6 +213,14 @@ def test_an_error_inside_the_page_is_told_once_and_harms_nothing_else(rig, monke
         window.until(lambda w: w.images)
     (line,) = (line for line in rig.lines if "could not serve" in line)
     assert "KeyError" in line
+
+
+def test_the_charge_is_that_of_the_autopilot_if_it_knows():
+    heard = LinkObservations()
+    for left, shown in ((-1, None), (101, None), (78, 78), (0, 0)):
+        heard.status = dialect.MAVLink_sys_status_message(*[0] * 6, left, *[0] * 6)
+        assert heard.charge_percent() == shown
+    assert LinkObservations().charge_percent() is None
 
 
 def test_a_dry_run_is_told_in_the_state(tmp_path):

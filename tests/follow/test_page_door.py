@@ -5,15 +5,18 @@ import re
 import socket
 import urllib.error
 import urllib.request
+from dataclasses import replace
 
 import pytest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
+from follow.cli.program import main
 from follow.messages import Mode
 from follow.operator.page.door import PageAddress, parse_page_address, read_token
 from follow.operator.page.exchange import Exchange
 from follow.operator.page.server import HTML, PageServer
+from sim.scenarios import SCENARIOS
 from tests.support.page_rig import PageRig
 
 TOKEN = "a-token-of-many-letters"
@@ -201,3 +204,19 @@ def test_no_report_is_written_while_it_flies(flights):
     with error.value as response:
         assert response.code == 409
         assert b"not while it flies" in response.read()
+
+
+def test_a_report_is_written_by_another_process_and_read_without_scripts(tmp_path, monkeypatch, capfd):
+    monkeypatch.setitem(SCENARIOS, "walker", replace(SCENARIOS["walker"], duration_s=1.0))
+    assert main(["sim", "walker", "--out", str(tmp_path / "before"), "--record.no-pictures"]) == 0
+    with PageRig(tmp_path / "now") as rig:
+        rig.round()
+        origin = {"Origin": f"http://{rig.host}"}
+        request = urllib.request.Request(f"http://{rig.host}/recordings/before/report", method="POST", headers=origin)
+        with urllib.request.urlopen(request, timeout=120.0) as response:
+            assert response.status == 200
+        _, headers, page = get(rig, "/recordings/before/report.html")
+    assert b"Flight before" in page
+    assert headers["content-security-policy"].startswith("default-src 'none'; style-src")
+    assert "attachment" not in headers.get("content-disposition", "")
+    assert (tmp_path / "before" / "report.html").read_bytes() == page

@@ -15,9 +15,10 @@ from websockets.sync.client import connect
 from follow.messages import Autopilot, Setpoint
 from sim.piloted import HOVERS_S, PilotedLink, RealTimePace
 from sim.scenarios import SCENARIOS, build
+from tests.support.ground_wire import walkers_box
 from tests.support.machine import against_the_clock
 from tests.support.page_rig import Window
-from tests.support.real_flight import free_ports
+from tests.support.real_flight import CONTROL, free_ports, real_flight, until
 
 
 def piloted(name="walker", autopilot=Autopilot.PX4):
@@ -83,7 +84,7 @@ def test_a_late_round_is_not_caught_up_with_a_burst():
     assert pace._due_s == pytest.approx(now[0], abs=0.05), "half a second late, then in time again"
 
 
-def walkers_box(jpeg):
+def blue_walker(jpeg):
     """The walker by its blue shirt, from head to feet, in fractions of the image; None if it does not show."""
     image = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR).astype(int)
     blue = (image[..., 0] > image[..., 2] + 60) & (image[..., 0] > image[..., 1] + 40)
@@ -120,7 +121,7 @@ def test_a_person_selects_follows_and_stops_in_a_simulated_flight(tmp_path):
             window = Window(None, socket)
             watch(window, lambda w: len(w.images) > 10, 30.0)
             header, jpeg = window.images[-1]
-            window.send(do="select", frame=header["frame"], box=walkers_box(jpeg))
+            window.send(do="select", frame=header["frame"], box=blue_walker(jpeg))
             watch(window, lambda w: w.status["state"] == "TRACKING", 10.0)
             window.order("follow")
             watch(window, lambda w: w.status["state"] == "FOLLOWING", 10.0)
@@ -137,3 +138,35 @@ def test_a_person_selects_follows_and_stops_in_a_simulated_flight(tmp_path):
         out, said = process.communicate(timeout=60.0)
     assert process.returncode == 0, said
     assert json.loads(out)["modes"]["follow"] > 2.0
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("rules", ["px4", "ardupilot"])
+def test_a_person_selects_follows_and_stops_over_mavlink(rules, tmp_path):
+    host = f"127.0.0.1:{free_ports(1)[0]}"
+    with real_flight(rules, tmp_path, options=["--page", host, "--seconds", "120"], begins="observe") as real:
+        told = []
+        real.pilot.hears = lambda packet: told.append(bytes(packet))
+        with connect(f"ws://{host}/window", origin=f"http://{host}", compression=None) as socket:
+            socket.send("0123456789abcdef")
+            window = Window(None, socket)
+            watch(window, lambda w: len(w.images) > 3, 30.0)
+            assert not real.relay.setpoints(), "nothing is sent before a person orders"
+            soon = window.images[-1][0]["frame"] + 120  # the box takes its time to be found
+            left, top, right, bottom = walkers_box(rules, soon / 30)  # the scene's frames a second
+            watch(window, lambda w: w.images[-1][0]["frame"] >= soon, 15.0)
+            window.send(do="select", frame=window.images[-1][0]["frame"], box=[left, top, right - left, bottom - top])
+            watch(window, lambda w: w.status["state"] == "TRACKING", 10.0)
+            window.order("spotlight")
+            watch(window, lambda w: w.status["state"] == "SPOTLIGHT", 10.0)
+            window.order("follow")
+            watch(window, lambda w: w.status["state"] == "FOLLOWING", 5.0)
+            began_t_s = window.status["t"]
+            watch(window, lambda w: w.status["t"] - began_t_s > 5.0, 20.0)
+            with against_the_clock():
+                assert real.pilot.flown_mode() == CONTROL[rules]
+            window.order("stop")
+            watch(window, lambda w: w.status["state"] == "STOPPED", 5.0)
+            until("given back", lambda: real.pilot.flown_mode() != CONTROL[rules], 5.0)
+        assert any(b"Follow: following" in packet for packet in told), "the pilot is told at the ground station also"
+        assert real.application.end() == 0

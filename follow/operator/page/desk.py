@@ -2,6 +2,7 @@
 
 import math
 from collections import deque
+from collections.abc import Callable
 
 from follow.geometry import heading_to_ned
 from follow.messages import NEVER, Estimate, Frame, Mode, Tick, VehicleState
@@ -46,11 +47,20 @@ def headline(mode: Mode, wanted: str, tracking: TrackingState) -> tuple[str, str
 class PageDesk:
     """`see` takes each tick, after the consoles did.
 
-    `recording` names the flight that is being recorded; `suffix` follows each state in large letters.
+    `recording` names the flight that is being recorded; `suffix` follows each state in large letters.  `charge` gives
+    what is left in the battery, percent, None if the autopilot does not know.
     """
 
-    def __init__(self, consoles: Consoles, exchange: Exchange, recording: str = "", suffix: str = "") -> None:
+    def __init__(
+        self,
+        consoles: Consoles,
+        exchange: Exchange,
+        recording: str = "",
+        suffix: str = "",
+        charge: Callable[[], int | None] = lambda: None,
+    ) -> None:
         self._consoles, self._exchange, self._recording, self._suffix = consoles, exchange, recording, suffix
+        self._charge = charge
         self._times: deque[tuple[int, float]] = deque(maxlen=FRAMES)
         self._frame: Frame | None = None
         self._status: TrackingStatus | None = None
@@ -125,6 +135,7 @@ class PageDesk:
             "armed": state.armed,
             "landed": state.landed.value,
             "battery": state.battery.value,
+            "charge": self._charge(),
             "link_s": number(state.t_s - state.heartbeat_t_s, 1),
             "image_s": number(state.t_s - self._frame.t_s) if self._frame is not None else None,
             "confidence": number(confidence),
