@@ -146,6 +146,9 @@ class RunCommand:
     """Box of the target, x,y,w,h in 0-based pixels of the first frame. Default: a drawn scene's own target."""
     dry_run: bool = False
     """Send nothing that could move the vehicle; FOLLOW is pretended, and what would be sent is recorded."""
+    detector: Path | None = None
+    """ONNX file of a detector of your own (YOLOX, YOLOv8 or later, SSD): a click becomes the box of the object there.
+    Default: what stands out there."""
     aim: bool = False
     """Use the box as a sight: the tracker starts again on what is in it when FOLLOW is ordered."""
     follow: bool = False

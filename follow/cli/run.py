@@ -28,6 +28,7 @@ from follow.cli.page import consoles_of, desk_of, open_page, page_options
 from follow.cli.settings import as_toml, scene_values
 from follow.cli.sim import Referee, believed_camera, scene_camera
 from follow.config import CameraConfig, Config, resolve
+from follow.control.detector import Detector
 from follow.control.image_motion import ImageMotionMeter
 from follow.control.selector import Selector
 from follow.control.servo import Servo
@@ -126,6 +127,8 @@ def check(command: RunCommand) -> None:
     elif not command.camera.startswith(SCENE) and command.ground is None and command.page is None:
         raise UsageError("what is to be followed? give --target x,y,w,h, or --page or --ground to point at it later")
     check_ground(command)
+    if command.detector is not None:
+        check_detector(command.detector)
     if not command.link.startswith("mavsdk+"):
         parse_address(command.link)
     if is_live(command.camera):
@@ -142,6 +145,14 @@ def check(command: RunCommand) -> None:
         raise UsageError(f"there is no scene {name!r}; there are {', '.join(SCENARIOS)}")
     if name == command.camera or command.config.camera.down_deg is not None:  # else the angle depends on the autopilot
         height_line(command.config)
+
+
+def check_detector(path: Path) -> None:
+    """Raise UsageError for a detector that cannot be used."""
+    try:
+        Detector(path)
+    except (OSError, ValueError) as error:
+        raise UsageError(f"--detector: {error}") from None
 
 
 def check_waiver(name: str) -> None:
@@ -313,7 +324,8 @@ def fly_prepared(
     servo, safety = Servo(seen.down_rad, seen.config.servo), Safety(seen.config.limits)
     meter = ImageMotionMeter(seen.lens, seen.down_rad)
     with recent as camera, ThreadPoolExecutor(1, "click") as looks, contextlib.ExitStack() as open_sides:
-        tracker = Selector(*flight.tracker, recent, operator.retarget, seen.target, looks, report)
+        snap = {} if command.detector is None else {"snap": Detector(command.detector).snap}
+        tracker = Selector(*flight.tracker, recent, operator.retarget, seen.target, looks, report, **snap)
         operator.forget = target.forget
         if command.aim:
             operator.aim = tracker.restart

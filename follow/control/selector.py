@@ -22,6 +22,9 @@ from racf.track import Track
 
 Image = NDArray[np.uint8]
 
+Snap = Callable[[Image, float, float], Box | None]
+"""The box of the object at a place (x, y in pixels) of an image, None without one."""
+
 EARLY_S = 0.1  # a selection may name a frame this much older than the oldest one that is kept
 MIN_SIDE_PX = 6.0  # a smaller target has no features to hold
 MIN_CONTRAST = 3.0  # standard deviation of grey levels: sensor noise alone is 1 to 3
@@ -51,7 +54,7 @@ class Selector:
     `init` learns the target in a box, `track` finds it again, around the prior if there is one; `begin` is called as a
     new target has been caught up with, so that nothing of the old one is believed.  `box` is the target in the first
     frame, None to wait for a selection.  `looks` finds the box of a click beside the loop (None: at once); `refuse` is
-    told why there is none.
+    told why there is none.  `snap` finds an object's box at a place; GrabCut finds one if it does not.
     """
 
     def __init__(
@@ -63,10 +66,11 @@ class Selector:
         box: Box | None = None,
         looks: Executor | None = None,
         refuse: Callable[[str], object] = lambda _why: None,
+        snap: Snap = lambda _image, _x, _y: None,
     ) -> None:
         self._init, self._track, self._recent, self._begin = init, track, recent, begin
         self._first = self._box_at_start = box
-        self._looks, self._refuse = looks, refuse
+        self._looks, self._refuse, self._snap = looks, refuse, snap
         self._looking: tuple[Future[Box | str], Frame] | None = None
         self._start: Start | None = None
         self._done_t_s: float | None = None  # time of the last frame that was tracked while behind; None: not behind
@@ -87,9 +91,9 @@ class Selector:
         if isinstance(frame, str):
             return frame
         if choice.is_point and self._looks is not None:
-            self._looking = self._looks.submit(meant, choice, frame.image), frame
+            self._looking = self._looks.submit(meant, choice, frame.image, self._snap), frame
             return ""
-        return self._take(meant(choice, frame.image), frame)
+        return self._take(meant(choice, frame.image, self._snap), frame)
 
     def _take(self, box: Box | str, frame: Frame) -> str:
         if isinstance(box, str):
@@ -159,12 +163,14 @@ class Selector:
         return replace(track, found=False)  # the estimate still holds the old target in this round
 
 
-def meant(selection: Selection, image: Image) -> Box | str:
+def meant(selection: Selection, image: Image, snap: Snap = lambda _image, _x, _y: None) -> Box | str:
     """The box of a selection in the image's pixels, or why there is none."""
     rows, columns = image.shape[:2]
     left, top = selection.left * columns, selection.top * rows
     if selection.is_point:
-        box = box_at(image, left, top)
+        box = snap(image, left, top)
+        if box is None or min(box.w, box.h) < MIN_SIDE_PX:
+            box = box_at(image, left, top)
         return "nothing stands out there: draw a box" if box is None else box
     sides = selection.width * columns, selection.height * rows
     if min(sides) < MIN_SIDE_PX:

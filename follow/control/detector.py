@@ -1,0 +1,202 @@
+"""A detector that a person brings as an ONNX file: a click becomes the box of the object at that place.
+
+Only OpenCV is needed.  Three shapes of output are read, as their exporters write them without non-maximum suppression:
+
+- YOLOX: (1, cells, 5 + classes), offsets and log sizes in cells of 8, 16 and 32 pixels, objectness, class scores;
+- YOLOv8 and later: (1, 4 + classes, cells), centre and size in input pixels, class scores;
+- SSD: (1, 1, boxes, 7), image, class, score, and the corners in shares of the input.
+
+A detector sees small targets badly, so it is shown a window round the click, enlarged to its input.
+"""
+
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from racf.box import Box
+
+log = logging.getLogger(__name__)
+
+UInt8 = NDArray[np.uint8]
+Floats = NDArray[np.float32]
+
+WINDOW = 0.6  # side of the window in image heights: as large as those of follow.control.click
+LEAST_SCORE = 0.25  # usual in the three families for showing a box
+MARGIN = 0.2  # of a box's size: a finger misses a small target
+STRIDES = (8, 16, 32)  # of YOLOX
+USUAL_SIZE = 640  # of a network that takes any size
+GREY = 114  # what YOLOX and YOLOv8 pad with
+SSD_FIELDS = 7
+BYTES, VARINT, FIXED64, FIXED32 = 2, 0, 1, 5  # wire types of Protocol Buffers
+
+
+@dataclass(frozen=True, slots=True)
+class Detection:
+    """An object in the input's pixels, with a score of 0 to 1."""
+
+    box: Box
+    score: float
+
+
+class Detector:
+    """A network in an ONNX file.  Raises ValueError for one that cannot be used, in one sentence."""
+
+    def __init__(self, path: Path) -> None:
+        data = path.read_bytes()
+        self._size = input_size(data) or USUAL_SIZE
+        try:
+            self._net = cv2.dnn.readNetFromONNX(np.frombuffer(data, np.uint8))
+            self._kind = kind_of(self._forward(np.full((self._size, self._size, 3), GREY, np.uint8), 1.0), self._size)
+        except (cv2.error, ValueError) as error:
+            why = str(error) if isinstance(error, ValueError) else "OpenCV cannot run it"
+            raise ValueError(f"the detector {path} cannot be used: {why}") from None
+
+    def snap(self, image: UInt8, x: float, y: float) -> Box | None:
+        """The box of the likeliest object at a place in an image of (rows, columns[, 3]) in BGR; None without one."""
+        image = image if image.ndim == 3 else np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), np.uint8)
+        side = max(round(WINDOW * image.shape[0]), 16)
+        left, top = round(x - side / 2), round(y - side / 2)
+        window = cut(image, left, top, side)
+        scale = self._size / side
+        try:
+            found = self.detect(np.asarray(cv2.resize(window, (self._size, self._size)), np.uint8))
+        except (cv2.error, ValueError) as error:
+            log.warning("the detector failed: %s", " ".join(str(error).split()))
+            return None
+        at_x, at_y = (x - left) * scale, (y - top) * scale
+        there = [d for d in found if holds(d.box.scaled(1 + 2 * MARGIN), at_x, at_y)]
+        if not there:
+            return None
+        box = max(there, key=lambda d: d.score).box.zoomed(1 / scale)
+        return Box(box.x + left, box.y + top, box.w, box.h)
+
+    def detect(self, square: UInt8) -> list[Detection]:
+        """Every object in a square BGR image of the input's size; the same object may come several times."""
+        factor = 1.0 / 255.0 if self._kind == "YOLOv8" else 1.0
+        output = self._forward(square, factor)
+        if self._kind == "SSD":
+            corners, scores = output.reshape(-1, SSD_FIELDS)[:, 3:] * self._size, output.reshape(-1, SSD_FIELDS)[:, 2]
+            boxes = np.column_stack([corners[:, :2], corners[:, 2:] - corners[:, :2]])
+        else:
+            rows = output[0].T if self._kind == "YOLOv8" else output[0]
+            centres, scores = yolov8(rows) if self._kind == "YOLOv8" else yolox(rows, self._size)
+            boxes = np.column_stack([centres[:, :2] - centres[:, 2:] / 2, centres[:, 2:]])
+        good = np.isfinite(boxes).all(axis=1) & (boxes[:, 2:] > 0).all(axis=1)
+        good &= (scores >= LEAST_SCORE) & (scores <= 1.001)  # rounding of a half-precision network
+        pairs = zip(boxes[good], scores[good], strict=True)
+        return [Detection(Box(*map(float, box)), float(score)) for box, score in pairs]
+
+    def _forward(self, square: UInt8, factor: float) -> Floats:
+        blob = cv2.dnn.blobFromImage(square, factor, swapRB=factor != 1.0)  # YOLOX takes BGR, YOLOv8 RGB
+        self._net.setInput(blob)
+        return np.asarray(self._net.forward(), np.float32)
+
+
+def kind_of(output: Floats, size: int) -> str:
+    """The family of a network by its output.  Raises ValueError for a shape that is none of the three."""
+    shape, cells = output.shape, sum((size // stride) ** 2 for stride in STRIDES)
+    if len(shape) == 4 and shape[:2] == (1, 1) and shape[3] == SSD_FIELDS:
+        return "SSD"
+    if len(shape) == 3 and shape[0] == 1 and shape[2] == cells and shape[1] > 4:
+        return "YOLOv8"
+    if len(shape) == 3 and shape[0] == 1 and shape[1] == cells and shape[2] > 5:
+        return "YOLOX"
+    wanted = f"(1, {cells}, 5 + classes) as YOLOX, (1, 4 + classes, {cells}) as YOLOv8, or (1, 1, boxes, 7) as SSD"
+    raise ValueError(f"for {size}x{size} pixels its output has the shape {shape}, not {wanted}")
+
+
+def yolov8(rows: Floats) -> tuple[Floats, Floats]:
+    """Centre x, centre y, width, height in input pixels, and the best class score, of YOLOv8's cells."""
+    return rows[:, :4], rows[:, 4:].max(axis=1)
+
+
+def yolox(rows: Floats, size: int) -> tuple[Floats, Floats]:
+    """The same of YOLOX's cells: offsets from the cell's corner and log sizes, both in strides."""
+    corners, strides = [], []
+    for stride in STRIDES:
+        down, across = np.mgrid[: size // stride, : size // stride]
+        corners.append(np.column_stack([across.ravel(), down.ravel()]))
+        strides.append(np.full((across.size, 1), stride))
+    stride = np.concatenate(strides)
+    centres = (rows[:, :2] + np.concatenate(corners)) * stride
+    sizes = np.exp(np.clip(rows[:, 2:4], -20.0, 20.0)) * stride
+    return np.column_stack([centres, sizes]).astype(np.float32), rows[:, 4] * rows[:, 5:].max(axis=1)
+
+
+def cut(image: UInt8, left: int, top: int, side: int) -> UInt8:
+    """A square of the image; what lies outside is grey."""
+    window = np.full((side, side, 3), GREY, np.uint8)
+    rows, columns = image.shape[:2]
+    x0, y0, x1, y1 = max(left, 0), max(top, 0), min(left + side, columns), min(top + side, rows)
+    if x1 > x0 and y1 > y0:
+        window[y0 - top : y1 - top, x0 - left : x1 - left] = image[y0:y1, x0:x1]
+    return window
+
+
+def holds(box: Box, x: float, y: float) -> bool:
+    """Whether a place lies in a box."""
+    return box.x <= x <= box.x + box.w and box.y <= y <= box.y + box.h
+
+
+def input_size(model: bytes) -> int:
+    """Side of the square input that an ONNX model declares, 0 if it takes any; ValueError if it is not square.
+
+    ModelProto.graph (7), GraphProto.input (11), ValueInfoProto.type (2), TypeProto.tensor_type (1), its shape (2), the
+    dimensions (1), dim_value (1): https://github.com/onnx/onnx/blob/main/onnx/onnx.proto3.
+    """
+    found = [model]
+    for number in (7, 11, 2, 1, 2):
+        found = [part for message in found for part in parts(message, number)][:1]  # the first input
+    sides = [next(iter(numbers(dimension, 1)), 0) for shape in found for dimension in parts(shape, 1)]
+    if len(sides) != 4:
+        raise ValueError("it is not an ONNX network with one image as its first input")
+    if sides[2] != sides[3]:
+        raise ValueError(f"its input is {sides[3]}x{sides[2]} pixels, not square")
+    return sides[2]
+
+
+def parts(message: bytes, number: int) -> list[bytes]:
+    """The fields of that number that hold bytes, in a Protocol Buffers message.  Raises ValueError for no message."""
+    return [value for n, value in fields(message) if n == number and isinstance(value, bytes)]
+
+
+def numbers(message: bytes, number: int) -> list[int]:
+    """The fields of that number that hold an integer."""
+    return [value for n, value in fields(message) if n == number and isinstance(value, int)]
+
+
+def fields(message: bytes) -> list[tuple[int, bytes | int]]:
+    """Number and value of each field of a message."""
+    found: list[tuple[int, bytes | int]] = []
+    at = 0
+    while at < len(message):
+        key, at = varint(message, at)
+        number, kind = key >> 3, key & 7
+        if kind == VARINT:
+            value, at = varint(message, at)
+            found.append((number, value))
+            continue
+        length = {FIXED64: 8, FIXED32: 4}.get(kind, 0)
+        if kind == BYTES:
+            length, at = varint(message, at)
+        if kind not in (BYTES, FIXED64, FIXED32) or at + length > len(message):
+            raise ValueError("it is not an ONNX file")
+        found.append((number, message[at : at + length]))
+        at += length
+    return found
+
+
+def varint(message: bytes, at: int) -> tuple[int, int]:
+    """An integer of seven bits a byte, and where it ends."""
+    value = shift = 0
+    while at < len(message) and shift < 64:
+        byte = message[at]
+        value |= (byte & 127) << shift
+        at, shift = at + 1, shift + 7
+        if byte < 128:
+            return value, at
+    raise ValueError("it is not an ONNX file")

@@ -1,0 +1,136 @@
+"""A detector in an ONNX file: its three shapes of output give the same boxes, and a click becomes the box there."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import cv2
+import numpy as np
+import pytest
+
+from follow.cli.commands import RunCommand
+from follow.cli.run import check
+from follow.control.detector import STRIDES, WINDOW, Detector, input_size
+from follow.control.selector import meant
+from follow.selection import Selection
+from racf.box import Box
+from racf.commandline import UsageError
+from tests.support.onnx_files import field, network, value
+
+SIDE = 160
+CELLS = sum((SIDE // stride) ** 2 for stride in STRIDES)
+OBJECTS = [(Box(60.0, 50.0, 40.0, 60.0), 0.9), (Box(70.0, 60.0, 20.0, 20.0), 0.5), (Box(5.0, 5.0, 30.0, 30.0), 0.8)]
+IMAGE = np.full((360, 640, 3), 90, np.uint8)
+
+
+def yolov8(objects):
+    rows = np.zeros((CELLS, 6), np.float32)
+    for k, (box, score) in enumerate(objects):
+        rows[7 * k] = box.centre_x, box.centre_y, box.w, box.h, 0.01, score
+    return rows.T[None]
+
+
+def yolox(objects):
+    rows = np.zeros((CELLS, 7), np.float32)
+    rows[:, 2:4] = -3.0
+    first = (SIDE // 8) ** 2  # of the cells of 16 pixels
+    for box, score in objects:
+        across, down = int(box.centre_x // 16), int(box.centre_y // 16)
+        place = box.centre_x / 16 - across, box.centre_y / 16 - down
+        rows[first + down * (SIDE // 16) + across] = *place, np.log(box.w / 16), np.log(box.h / 16), 0.95, 0.0, score
+    return rows[None]
+
+
+def ssd(objects):
+    rows = [
+        (0, 1, score, box.x / SIDE, box.y / SIDE, (box.x + box.w) / SIDE, (box.y + box.h) / SIDE)
+        for box, score in objects
+    ]
+    return np.array(rows, np.float32)[None, None]
+
+
+FAMILIES = pytest.mark.parametrize("family", [yolov8, yolox, ssd])
+
+
+@pytest.fixture
+def made(tmp_path):
+    def make(output, **how):
+        path = tmp_path / "network.onnx"
+        path.write_bytes(network(output, **how))
+        return Detector(path)
+
+    return make
+
+
+@FAMILIES
+def test_every_family_gives_the_boxes_and_scores_that_were_put_in(family, made):
+    found = sorted(made(family(OBJECTS)).detect(np.zeros((SIDE, SIDE, 3), np.uint8)), key=lambda d: -d.score)
+    for detection, (box, score) in zip(found, sorted(OBJECTS, key=lambda o: -o[1]), strict=True):
+        assert detection.box.iou(box) > 0.99
+        assert detection.score == pytest.approx(score * (0.95 if family is yolox else 1.0), abs=1e-3)
+
+
+@FAMILIES
+def test_a_click_becomes_the_likeliest_box_at_its_place_in_the_images_pixels(family, made):
+    snap = made(family(OBJECTS)).snap
+    scale = WINDOW * IMAGE.shape[0] / SIDE
+    x, y = 320.0, 200.0
+    box = snap(IMAGE, x, y)
+    want, _ = OBJECTS[0]
+    middle = SIDE / 2
+    left, top = x + (want.x - middle) * scale, y + (want.y - middle) * scale
+    assert box is not None
+    assert box.iou(Box(left, top, want.w * scale, want.h * scale)) > 0.97
+
+
+def test_at_the_images_edge_and_in_grey_it_works_as_well(made):
+    detector = made(yolov8(OBJECTS))
+    inner, edge = detector.snap(IMAGE, 320, 200), detector.snap(IMAGE, 2, 358)
+    assert edge is not None
+    assert (edge.x + 318, edge.y - 158) == pytest.approx((inner.x, inner.y), abs=1.0)
+    assert detector.snap(IMAGE[:, :, 0], 320, 200) == inner
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -1.0, 7.0])
+def test_numbers_that_are_no_box_or_no_score_are_left_out(bad, made):
+    output = yolov8(OBJECTS)
+    output[0, 2, 0] = bad if bad != 7.0 else 40.0
+    output[0, 5, 0] = 0.9 if bad != 7.0 else bad
+    assert len(made(output).detect(np.zeros((SIDE, SIDE, 3), np.uint8))) == 2
+
+
+def test_a_click_beside_every_object_falls_back_to_what_stands_out(made):
+    image = IMAGE.copy()
+    cv2.rectangle(image, (300, 180), (340, 220), (20, 20, 230), -1)
+    nothing = made(yolov8([(Box(5.0, 5.0, 10.0, 10.0), 0.9)])).snap
+    click = Selection(320 / 640, 200 / 360, 0.0, 0.0, 0.0, "the page")
+    assert nothing(image, 320, 200) is None
+    assert meant(click, image, nothing) == meant(click, image)
+    with ThreadPoolExecutor(1) as looks:
+        snapped = looks.submit(meant, click, image, made(yolov8(OBJECTS)).snap).result()
+    assert snapped == made(yolov8(OBJECTS)).snap(image, 320, 200)
+
+
+def test_the_input_size_is_read_from_the_file_and_a_free_one_is_the_usual_one():
+    assert input_size(network(yolov8(OBJECTS))) == SIDE
+    assert input_size(network(yolov8(OBJECTS), sides=(0, 0))) == 0
+
+
+@pytest.mark.parametrize(
+    ("data", "why"),
+    [(b"", "not an ONNX network"), (b"\xff" * 40, "not an ONNX file"), (b"GIF89a" * 20, "not an ONNX"),
+     (network(yolov8(OBJECTS), sides=(160, 320)), "its input is 320x160 pixels"),
+     (network(np.zeros((1, 5, 5))), r"its output has the shape \(1, 5, 5\), not \(1, 525"),
+     (field(7, field(11, value("x", (1, 3, 160, 160)))), "cannot be used")],
+)  # fmt: skip
+def test_a_file_that_is_no_detector_is_refused_in_one_sentence(data, why, tmp_path):
+    path = tmp_path / "network.onnx"
+    path.write_bytes(data)
+    command = RunCommand("udpin:127.0.0.1:14540", camera="scene:walker", detector=path)
+    with pytest.raises(UsageError, match=why) as refused:
+        check(command)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_detector_that_is_not_there_is_refused(tmp_path):
+    command = RunCommand("udpin:127.0.0.1:14540", camera="scene:walker", detector=tmp_path / "none.onnx")
+    with pytest.raises(UsageError, match="No such file"):
+        check(command)
