@@ -67,16 +67,20 @@ def fly(rules: str, variant: str, direct: bool, seconds: float, out: Path) -> li
             log = [(t_s - drawn_s, words) for t_s, words in station.log]
             assert not station.errors, station.errors
         assert real.application.end() == 0
-        said = [line for line in real.application.lines if TOLD.search(line)]
+        said = [line for line in real.application.lines if TOLD.search(line) and "recorded in" not in line]
     return [*shortened(log), "", *said, "", f"{seen:.1f} boxes a second; given back in {mode}; {flown(out)}"]
 
 
 def shortened(log: Log) -> Iterator[str]:
-    """A line for each message; equal ones in a row become one with their number."""
-    for _, run in itertools.groupby(log, key=lambda entry: NUMBERS.sub("", entry[1])):
+    """A line for each message but the camera's later heartbeats; equal ones in a row become one with their number."""
+    beats = [entry for entry in log if "HEARTBEAT" in entry[1]]
+    shown = [entry for entry in log if entry not in beats[1:]]
+    for _, run in itertools.groupby(shown, key=lambda entry: NUMBERS.sub("", entry[1])):
         (t_s, words), *others = run
-        many = f"  ... {len(others) + 1} in {others[-1][0] - t_s:.1f} s, the last {others[-1][1]}" if others else ""
-        yield f"{t_s:7.2f} s {words}{many}"
+        yield f"{t_s:7.2f} s {words}"
+        if others:
+            yield f"{'':11}... {len(others) + 1} in {others[-1][0] - t_s:.1f} s, the last:"
+            yield f"{others[-1][0]:7.2f} s {others[-1][1]}"
 
 
 def flown(out: Path) -> str:
