@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import Any
 
 import cv2
-import numpy as np
 
 DOCS = Path(__file__).parents[2] / "docs"
 PHONE = {"viewport": {"width": 360, "height": 740}, "device_scale_factor": 2.0, "has_touch": True, "is_mobile": True}
@@ -45,16 +44,34 @@ def shown(page: Any) -> int:
     return int(page.evaluate("shownFrame"))
 
 
+FIND_WALKER = """() => {  // left, top, right, bottom of the blue shirt in fractions of the image that is shown now
+  const canvas = document.getElementById("image"), [w, h] = [canvas.width, canvas.height];
+  const data = canvas.getContext("2d").getImageData(0, 0, w, h).data, xs = [], ys = [];
+  for (let n = 0; n < w * h; n++) {
+    const [red, green, blue] = data.subarray(4 * n, 4 * n + 3);
+    if (blue > red + 60 && blue > green + 40) { xs.push(n % w); ys.push(Math.floor(n / w)); }
+  }
+  const at = (values, part) => values.sort((a, b) => a - b)[Math.floor(part * (values.length - 1))];
+  return xs.length < 20 ? null : [at(xs, .02) / w, at(ys, .02) / h, at(xs, .98) / w, at(ys, .98) / h];
+}"""
+
+
 def walkers_box(page: Any) -> tuple[float, float, float, float]:
-    """Left, top, right, bottom of the walker by its blue shirt, in the window's pixels."""
-    area = page.locator("#view").bounding_box()
-    image = cv2.imdecode(np.frombuffer(page.locator("#view").screenshot(), np.uint8), cv2.IMREAD_COLOR).astype(int)
-    rows, columns = np.nonzero((image[..., 0] > image[..., 2] + 60) & (image[..., 0] > image[..., 1] + 40))
-    left, right = np.percentile(columns, (2, 98))
-    top, bottom = np.percentile(rows, (2, 98))
-    scale, high = area["width"] / image.shape[1], bottom - top
-    box = np.array([left - 3, top - 0.4 * high, right + 3, bottom + 1.35 * high]) * scale
-    return tuple(float(v) for v in box + np.array([area["x"], area["y"]] * 2))
+    """Left, top, right, bottom of the walker by its shirt, in the window's pixels."""
+    area, (left, top, right, bottom) = page.locator("#over").bounding_box(), page.evaluate(FIND_WALKER)
+    high = bottom - top
+    box = left - 0.003, top - 0.35 * high, right + 0.003, bottom + 1.25 * high
+    x, y, w, h = (area[name] for name in ("x", "y", "width", "height"))
+    return x + box[0] * w, y + box[1] * h, x + box[2] * w, y + box[3] * h
+
+
+def is_on_walker(page: Any) -> bool:
+    """Whether the shirt's middle lies in the box that the page draws."""
+    shirt, box = page.evaluate(FIND_WALKER), page.evaluate("tracked")
+    if shirt is None or box is None:
+        return False
+    x, y = (shirt[0] + shirt[2]) / 2, (shirt[1] + shirt[3]) / 2
+    return bool(box[0] < x < box[0] + box[2] and box[1] < y < box[1] + box[3])
 
 
 def drag(page: Any) -> None:
@@ -83,13 +100,15 @@ def fly(desk: Any, phone: Any, shots: Path) -> None:
     until("FOLLOW flies", lambda: state(desk) == "FOLLOWING")
     until("the second window only watches", lambda: phone.is_disabled("#follow") and phone.is_enabled("#stop"))
     time.sleep(6.0)
+    until("the box is on the walker", lambda: is_on_walker(desk), 1.0)
     desk.screenshot(path=shots / "following.png")
     phone.screenshot(path=shots / "phone_watches.png")
     phone.tap("#stop")
     until("STOP on the phone stops", lambda: state(desk) == "STOPPED", 3.0)
     desk.click("#hand-over")
     until("the command is handed over", lambda: phone.is_enabled("#follow"))
-    time.sleep(10.5)  # longer than a drawn box counts as just drawn
+    time.sleep(14.0)  # longer than a drawn box counts as just drawn; the pilot has brought the vehicle back
+    until("the walker is found again", lambda: is_on_walker(phone))
     phone.tap("#follow")
     until("an old box must be confirmed", lambda: phone.is_visible("#confirm"))
     time.sleep(0.3)
