@@ -38,8 +38,21 @@ def correlate(z_f: Float32, g_f: Float32, out: Complex64) -> None:
 
 
 def response_map(response_f: Complex64, shape: tuple[int, int]) -> Float32:
-    """(H, Wf) -> (H, W) with zero shift in the middle."""
-    return np.fft.fftshift(np.fft.irfft2(response_f, s=shape)).astype(np.float32, copy=False)
+    """(H, W//2 + 1) -> (H, W) with zero shift in the middle."""
+    down, across = _inverse(*shape)
+    along_rows = down @ response_f
+    return along_rows.view(np.float32) @ across
+
+
+@functools.lru_cache(maxsize=16)
+def _inverse(height: int, width: int) -> tuple[Complex64, Float32]:
+    """The products of `response_map`: (H, H) along the columns, (2 (W//2 + 1), W) from real and imaginary parts."""
+    rows, cols = np.arange(height) - height // 2, np.arange(width) - width // 2
+    down = np.exp(2j * np.pi * np.outer(rows, np.arange(height)) / height) / height
+    _, counts = _angles(height, width)
+    waves = np.exp(2j * np.pi * np.outer(np.arange(len(counts)), cols) / width) * counts[:, None] / width
+    across = np.stack([waves.real, -waves.imag], axis=1).reshape(-1, width)
+    return down.astype(np.complex64), across.astype(np.float32)
 
 
 def sharpness(response: Float32, target_cells: tuple[float, float]) -> tuple[float, float]:
@@ -49,18 +62,41 @@ def sharpness(response: Float32, target_cells: tuple[float, float]) -> tuple[flo
     around the peak.  APCE (Wang 2017): |max - min|^2 / mean of (response - min)^2.
     """
     row, col = (int(i) for i in np.unravel_index(int(np.argmax(response)), response.shape))
-    peak, low = float(response[row, col]), float(response.min())
-    above = response - low
-    apce = (peak - low) ** 2 / max(float(np.mean(above * above)), 1e-12)
     half_rows, half_cols = (max(2, round(side / 2)) for side in (target_cells[1], target_cells[0]))
-    window = response[max(row - half_rows, 0) : row + half_rows + 1, max(col - half_cols, 0) : col + half_cols + 1]
-    count = response.size - window.size
+    rows, cols = response.shape
+    window = (max(row - half_rows, 0), min(row + half_rows + 1, rows), max(col - half_cols, 0),
+              min(col + half_cols + 1, cols))  # fmt: skip
+    sums = np.empty(5)
+    _sums(response, *window, sums)
+    total, squares, low, inside, squares_inside = sums.tolist()
+    peak, size = float(response[row, col]), response.size
+    apce = (peak - low) ** 2 / max((squares - 2 * low * total) / size + low * low, 1e-12)
+    count = size - (window[1] - window[0]) * (window[3] - window[2])
     if count <= 1:
         return 0.0, apce
-    total, squares = float(response.sum(dtype=np.float64)), float(np.vdot(response, response))
-    mean = (total - float(window.sum(dtype=np.float64))) / count
-    variance = (squares - float(np.sum(window * window))) / count - mean**2
+    mean = (total - inside) / count
+    variance = (squares - squares_inside) / count - mean**2
     return (peak - mean) / max(math.sqrt(max(variance, 0.0)), 1e-6), apce
+
+
+@compiled
+def _sums(response: Float32, top: int, bottom: int, left: int, right: int, out: Float64) -> None:
+    """Sum, sum of squares and least of a response; sum and sum of squares of its rows top.. and columns left.. ."""
+    total = squares = inside = squares_inside = 0.0
+    low = response[0, 0]
+    for i in range(response.shape[0]):
+        line = response[i]
+        for j in range(line.size):
+            value = np.float64(line[j])
+            total += value
+            squares += value * value
+            low = min(low, line[j])
+        if top <= i < bottom:
+            for j in range(left, right):
+                value = np.float64(line[j])
+                inside += value
+                squares_inside += value * value
+    out[0], out[1], out[2], out[3], out[4] = total, squares, low, inside, squares_inside
 
 
 @compiled

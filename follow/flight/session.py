@@ -22,6 +22,7 @@ from racf import Racf
 from racf.box import Box
 from racf.commandline import StopReported, UsageError
 from racf.evaluate.trackers import TrackerSpec
+from racf.judged import Judged
 from racf.track import Track
 from racf.tracker import warm_up
 
@@ -32,10 +33,10 @@ Update = Callable[[NDArray[np.uint8], Box | None], Track]
 def tracker_of(name: str) -> tuple[Start, Update]:
     """A warm tracker: how it learns a target, and how it finds it again.  Raises UsageError for an unknown name."""
     try:
-        tracker = TrackerSpec.parse(name).build()
+        tracker = TrackerSpec.parse(name).flown().build()
     except ValueError as error:
         raise UsageError(f"--tracker: {error}") from None
-    if isinstance(tracker, Racf):
+    if isinstance(tracker, Racf | Judged):
         warm_up()
         return tracker.init, tracker.update
     return tracker.init, lambda image, _prior: tracker.update(image)

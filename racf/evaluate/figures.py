@@ -64,6 +64,15 @@ class TrackerFigures(ScoreFigures):
     sequences: dict[str, SequenceFigures]
 
 
+class CostFigures(TypedDict):
+    """What one frame takes: its share of a 30 Hz camera's time, cycles, and the least operations and bytes."""
+
+    share_of_30hz_percent: float
+    least_megaflops: float
+    least_megabytes: float
+    megacycles: NotRequired[float]
+
+
 class SpeedFigures(TypedDict):
     """One tracker's speed: frames per second, median milliseconds by stage, and the least that a stage can take."""
 
@@ -71,6 +80,7 @@ class SpeedFigures(TypedDict):
     ms: NotRequired[dict[str, float]]
     times_as_fast_as: NotRequired[dict[str, float]]
     floor_ms: NotRequired[dict[str, float]]
+    cost: NotRequired[CostFigures]
 
 
 class ClipFigures(TypedDict):

@@ -1,12 +1,14 @@
 """What a tracker's name means, on the command line and in `racf.evaluate.evaluate`.
 
 racf, racf-, racf--, bacf, arcf-hc     presets of racf.params, with any of its settings: racf,robust
-csrt, kcf, mil, nano, vit              OpenCV's (see racf.evaluate.peers): nano,backbone=FILE,neckhead=FILE
+csrt, kcf, mil, nano, vit              OpenCV's (see racf.evaluate.peers): nano,backbone=FILE,neckhead=FILE; `judged`
+                                       puts their boxes under our confidence (see racf.judged), as `follow` does
 module:Class                           your own (see racf.evaluate.own)
 """
 
 import hashlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Generator, Iterable, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -21,13 +23,14 @@ from racf.evaluate import own
 from racf.evaluate.own import OwnSpec
 from racf.evaluate.peers import NETWORKS, OPENCV, PEERS, Peer, digest_of, opencv_has, peer_settings
 from racf.evaluate.runner import Tracker, TrackerBuilder
+from racf.judged import Judged
 from racf.params import PRESETS, Params, preset, split_settings
 
 __all__ = ["OPENCV", "PEERS", "Peer", "TrackerSpec", "builders_of", "opencv_has"]
 
 # No box depends on these files of the package; all others count.
 UNRELATED = {
-    "cli.py", "commandline.py", "errors.py", "imagefolder.py", "orientation.py", "parallel.py", "video.py",
+    "cli.py", "commandline.py", "errors.py", "imagefolder.py", "judged.py", "orientation.py", "parallel.py", "video.py",
     "video_writer.py",
 }  # fmt: skip
 # What the boxes of OpenCV's trackers depend on, and with the refinement: an edit of our filter leaves them as they are.
@@ -54,7 +57,7 @@ class TrackerSpec:
     def check(self) -> None:
         """Raise ValueError for a name or a setting that is not known."""
         if self.name in OPENCV:
-            peer_settings(self.name, dict(self.settings))
+            self._peer()
         elif ":" in self.name:
             own.build(self.name, dict(self.settings))
         else:
@@ -67,11 +70,26 @@ class TrackerSpec:
     def build(self) -> Tracker:
         """A fresh tracker; raises ValueError for a name or a setting that is not known."""
         if self.name in OPENCV:
-            refine, files = peer_settings(self.name, dict(self.settings))
-            return Peer(self.name, refine=refine, files=files)
+            judged, refine, files = self._peer()
+            with _quiet_opencv():
+                peer = Peer(self.name, refine=refine, files=files)
+            return Judged(peer) if judged else peer
         if ":" in self.name:
             return own.build(self.name, dict(self.settings))
         return racf.Racf(self.params())
+
+    def flown(self) -> Self:
+        """The same as `follow` flies it: a tracker of OpenCV's, which may answer whatever it sees, is judged."""
+        is_peer = self.name in OPENCV and not dict(self.settings).get("judged")
+        return replace(self, settings=(*self.settings, ("judged", "true"))) if is_peer else self
+
+    def _peer(self) -> tuple[bool, bool, dict[str, str]]:
+        """Whether one of OpenCV's is judged and refined, and its network files; ValueError for another setting."""
+        settings = dict(self.settings)
+        judged = settings.pop("judged", "false")
+        if judged not in {"true", "false"}:
+            raise ValueError(f"judged is true or false, not {judged!r}")
+        return (judged == "true", *peer_settings(self.name, settings))
 
     def params(self) -> Params:
         """The parameters of one of ours; raises ValueError for a name or a setting that is not known."""
@@ -84,15 +102,27 @@ class TrackerSpec:
         """Changes whenever the boxes could: a digest of parameters, versions and the tracker's source."""
         source = _source_digest()
         if self.name in OPENCV:
-            refine, files = peer_settings(self.name, dict(self.settings))
-            what = f"{self.name} {Params() if refine else ''} {digest_of(files) if files else ''}"
-            source = _digest(PEER_FILES + (REFINING_FILES if refine else ()))
+            judged, refine, files = self._peer()
+            what = f"{self.name} {Params() if refine else ''} {digest_of(files) if files else ''}{' judged' * judged}"
+            peers = _digest(PEER_FILES + (REFINING_FILES if refine else ()))
+            source = source + peers + _digest(["judged.py"]) if judged else peers
         elif ":" in self.name:
             what = f"{self.name} {self.settings} {own.source_of(own.load(self.name))}"
         else:
             what = repr(self.params())
         parts = (what, version("follow-me"), cv2.__version__, np.__version__, source)
         return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
+
+
+@contextmanager
+def _quiet_opencv() -> Generator[None]:
+    """Errors only: OpenCV warns at each start of a network about a choice of processors that it does not offer."""
+    logging = cv2.utils.logging
+    level = logging.setLogLevel(logging.LOG_LEVEL_ERROR)
+    try:
+        yield
+    finally:
+        logging.setLogLevel(level)
 
 
 def builders_of(trackers: object, settings: Iterable[str] = ()) -> list[TrackerBuilder]:

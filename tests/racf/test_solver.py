@@ -10,7 +10,7 @@ import scipy.fft
 from racf.filter import Learned, Solver, bowl_weight, solve_g, solve_rank_two_numpy
 from racf.fourier import PrunedDft, folded, unfolded
 from racf.params import Params
-from racf.response import refine_peak
+from racf.response import refine_peak, response_map, sharpness
 
 ROWS, COLS, CHANNELS, SUPPORT = 9, 12, 3, (4, 5)
 
@@ -167,3 +167,16 @@ def test_newton_finds_the_peak_between_the_cells(size, shift):
     start = (round(shift[0]), round(shift[1]))
     found = refine_peak(np.fft.rfft2(bump).astype(np.complex64), size[1], *start, steps=5)
     assert found == pytest.approx(shift, abs=0.02)
+
+
+@pytest.mark.parametrize("size", [(20, 21), (21, 20), (9, 9)])
+def test_the_response_map_and_its_sharpness_equal_their_equations(size):
+    response = np.random.default_rng(5).normal(size=size).astype(np.float32)
+    response[size[0] // 2, 2] = 9
+    spectrum = np.fft.rfft2(np.fft.ifftshift(response)).astype(np.complex64)
+    np.testing.assert_allclose(response_map(spectrum, size), response, atol=1e-5)
+    sidelobe = np.ones(size, bool)
+    sidelobe[size[0] // 2 - 2 : size[0] // 2 + 3, :6] = False  # half of 4 x 6 cells around the peak
+    psr = (9 - response[sidelobe].mean()) / response[sidelobe].std()
+    apce = (9 - response.min()) ** 2 / np.mean((response - response.min()) ** 2)
+    assert sharpness(response, (6.0, 4.0)) == pytest.approx((psr, apce), rel=1e-4)

@@ -1,0 +1,89 @@
+"""Another tracker's boxes, judged by our confidence: for trackers that always answer, whatever they look at.
+
+A correlation filter of ours learns the target at the other tracker's boxes and looks at each new one.  Its response
+says how far to believe the box: its PSR and peak against the target's usual ones, as for our own tracker, and its peak
+must lie within the box.  A box that is not believed is not found, and nothing is learned there; while the target is
+lost our re-detection searches, and starts the other tracker again on what it finds.
+"""
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from racf.box import Box
+from racf.confidence import Confidence, Verdict
+from racf.params import Params
+from racf.redetect import Redetection
+from racf.track import Track
+from racf.translation import Match, TranslationFilter
+
+UInt8 = NDArray[np.uint8]
+MIN_SIDE_PX = 2.0
+
+
+class JudgedTracker(Protocol):
+    """A tracker whose boxes are judged."""
+
+    def init(self, image: UInt8, box: Box) -> Track:
+        """Learn the target inside `box`."""
+        ...
+
+    def update(self, image: UInt8) -> Track:
+        """Find it in the next image."""
+        ...
+
+
+class Judged:
+    """The boxes of `tracker` with our PSR, confidence and verdict, and with our re-detection while it is lost."""
+
+    def __init__(self, tracker: JudgedTracker, params: Params | None = None) -> None:
+        self.tracker, self.params = tracker, params or Params().robust()
+
+    def init(self, image: UInt8, box: Box) -> Track:
+        """Start both on `box`; raises ValueError as the tracker does."""
+        self.tracker.init(image, box)
+        self._filter = TranslationFilter(self.params, box, colour=image.ndim == 3 and self.params.colour_names)
+        self._confidence, self._redetection = Confidence(self.params), Redetection(self.params)
+        self._filter.learn(image, box)
+        self._box = box
+        return Track(box, self._filter.region(box), psr=0.0, apce=0.0, confidence=1.0)
+
+    def update(self, image: UInt8, prior: Box | None = None) -> Track:
+        """The tracker's next box, and what our filter says of it; `prior`: where a lost target is searched for."""
+        box = self._sized(self.tracker.update(image).box, image)
+        match = self._filter.locate(image, box)
+        # The filter may see the target beside the box, sharp as ever: then the box is not on it.
+        apart = abs(match.box.centre_x - box.centre_x) > box.w / 2 or abs(match.box.centre_y - box.centre_y) > box.h / 2
+        psr = 0.0 if apart else match.psr
+        verdict = self._confidence.judge(psr, match.value)
+        if verdict is Verdict.LOST:
+            expected = (
+                self._box if prior is None else Box.around(prior.centre_x, prior.centre_y, self._box.w, self._box.h)
+            )
+            match, verdict = self._redetection.search(image, expected, match, self._filter, self._confidence)
+            if verdict is not Verdict.LOST:
+                box, psr = self._sized(match.box, image), match.psr
+                self.tracker.init(image, box)
+        if verdict is Verdict.CLEAR:
+            self._filter.learn(image, box)
+        if verdict is not Verdict.LOST:
+            self._box = box
+        return self._track(box, match, psr, verdict)
+
+    def _track(self, box: Box, match: Match, psr: float, verdict: Verdict) -> Track:
+        return Track(
+            box=box,
+            search=self._filter.region(box),
+            psr=psr,
+            apce=match.apce,
+            confidence=self._confidence.ratio(psr, match.value),
+            found=verdict is not Verdict.LOST,
+            response=match.response,
+        )
+
+    def _sized(self, box: Box, image: UInt8) -> Box:
+        """The box with sides between two pixels and the image's, and its centre in the image."""
+        rows, cols = image.shape[:2]
+        w, h = min(max(box.w, MIN_SIDE_PX), cols), min(max(box.h, MIN_SIDE_PX), rows)
+        return Box.around(min(max(box.centre_x, 0.0), cols), min(max(box.centre_y, 0.0), rows), w, h)

@@ -1,0 +1,74 @@
+"""A tracker that always answers 0.9 is believed only where our filter sees the target too."""
+
+import numpy as np
+import pytest
+
+from racf.box import Box
+from racf.evaluate.trackers import TrackerSpec
+from racf.judged import Judged
+from racf.track import Track
+from tests.racf.test_robust import GROUND, box, image
+
+
+class AlwaysSure:
+    """Answers the boxes it is given, one after the other, with a confidence of 0.9; counts its starts."""
+
+    def __init__(self, boxes: list[Box]) -> None:
+        self.boxes, self.starts = list(boxes), list[Box]()
+
+    def init(self, image: np.ndarray, box: Box) -> Track:
+        self.starts.append(box)
+        return self.track(box)
+
+    def update(self, image: np.ndarray) -> Track:
+        return self.track(self.boxes.pop(0))
+
+    def track(self, box: Box) -> Track:
+        return Track(box, box, psr=np.nan, apce=np.nan, confidence=0.9)
+
+
+def walk(frames: int) -> list[Box]:
+    return [box(40 + 3 * k, 100) for k in range(1, frames + 1)]
+
+
+def test_boxes_on_the_target_are_believed_as_they_are():
+    judged = Judged(AlwaysSure(walk(30)))
+    judged.init(image(40, 100), box(40, 100))
+    tracks = [judged.update(image(40 + 3 * k, 100)) for k in range(1, 31)]
+    assert all(track.found for track in tracks)
+    assert [track.box for track in tracks] == walk(30)
+    assert min(track.confidence for track in tracks) > 0.6
+
+
+@pytest.mark.parametrize("where", [Box(300, 150, 36, 36), Box(-20, -20, 36, 36), Box(395, 236, 900, 0.5)])
+def test_a_box_that_jumps_to_the_ground_is_not_found_although_the_tracker_is_sure_of_it(where):
+    judged = Judged(AlwaysSure([*walk(10), *[where] * 5]))
+    judged.init(image(40, 100), box(40, 100))
+    for k in range(1, 11):
+        judged.update(image(40 + 3 * k, 100))
+    gone = [judged.update(GROUND) for _ in range(5)]
+    assert not any(track.found for track in gone)
+    assert max(track.confidence for track in gone) < 0.5
+
+
+def test_a_box_that_stays_behind_while_the_target_walks_on_is_taken_back_to_it():
+    frozen = AlwaysSure([*walk(10), *[box(70, 100)] * 60])
+    judged = Judged(frozen)
+    judged.init(image(40, 100), box(40, 100))
+    tracks = [judged.update(image(40 + 3 * k, 100)) for k in range(1, 40)]
+    for k, track in enumerate(tracks, start=1):
+        assert not track.found or track.box.iou(box(40 + 3 * k, 100)) > 0.2
+    assert len(frozen.starts) > 1
+    assert frozen.starts[1].x > 70  # where the target is, not where the tracker looked
+
+
+def test_what_follow_flies_of_opencvs_trackers_is_judged_and_ours_is_not():
+    assert isinstance(TrackerSpec.parse("mil").flown().build(), Judged)
+    assert not isinstance(TrackerSpec.parse("mil").build(), Judged)
+    assert TrackerSpec.parse("racf,robust").flown() == TrackerSpec.parse("racf,robust")
+    prints = [
+        TrackerSpec.parse(name).fingerprint() for name in ("mil", "mil,judged", "mil,refine", "mil,judged,refine")
+    ]
+    assert len(set(prints)) == 4
+    with pytest.raises(ValueError, match="judged is true or false, not 'maybe'"):
+        TrackerSpec.parse("mil,judged=maybe").check()
