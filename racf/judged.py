@@ -34,7 +34,7 @@ class JudgedTracker(Protocol):
         ...
 
 
-class Judged:
+class JudgedBoxes:
     """The boxes of `tracker` with our PSR, confidence and verdict, and with our re-detection while it is lost."""
 
     def __init__(self, tracker: JudgedTracker, params: Params | None = None) -> None:

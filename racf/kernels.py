@@ -20,7 +20,8 @@ def compiled(function: CallableT) -> CallableT:
 
     Kernels take their scratch arrays as arguments: allocating within costs more to compile than all the rest.
     """
-    options: dict[str, Any] = {"fastmath": True, "error_model": "numpy", "nogil": True}
+    # Nothing calls these from C: without the wrapper for that they compile sooner.
+    options: dict[str, Any] = {"fastmath": True, "error_model": "numpy", "no_cfunc_wrapper": True}
     try:
         made: Any = numba.njit(cache=True, **options)(function)
     except RuntimeError:  # numba found no folder that it may write

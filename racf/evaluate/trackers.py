@@ -23,7 +23,7 @@ from racf.evaluate import own
 from racf.evaluate.own import OwnSpec
 from racf.evaluate.peers import NETWORKS, OPENCV, PEERS, Peer, digest_of, opencv_has, peer_settings
 from racf.evaluate.runner import Tracker, TrackerBuilder
-from racf.judged import Judged
+from racf.judged import JudgedBoxes
 from racf.params import PRESETS, Params, preset, split_settings
 
 __all__ = ["OPENCV", "PEERS", "Peer", "TrackerSpec", "builders_of", "opencv_has"]
@@ -73,7 +73,7 @@ class TrackerSpec:
             judged, refine, files = self._peer()
             with _quiet_opencv():
                 peer = Peer(self.name, refine=refine, files=files)
-            return Judged(peer) if judged else peer
+            return JudgedBoxes(peer) if judged else peer
         if ":" in self.name:
             return own.build(self.name, dict(self.settings))
         return racf.Racf(self.params())

@@ -5,7 +5,7 @@ import pytest
 
 from racf.box import Box
 from racf.evaluate.trackers import TrackerSpec
-from racf.judged import Judged
+from racf.judged import JudgedBoxes
 from racf.track import Track
 from tests.racf.test_robust import GROUND, box, image
 
@@ -32,7 +32,7 @@ def walk(frames: int) -> list[Box]:
 
 
 def test_boxes_on_the_target_are_believed_as_they_are():
-    judged = Judged(AlwaysSure(walk(30)))
+    judged = JudgedBoxes(AlwaysSure(walk(30)))
     judged.init(image(40, 100), box(40, 100))
     tracks = [judged.update(image(40 + 3 * k, 100)) for k in range(1, 31)]
     assert all(track.found for track in tracks)
@@ -42,7 +42,7 @@ def test_boxes_on_the_target_are_believed_as_they_are():
 
 @pytest.mark.parametrize("where", [Box(300, 150, 36, 36), Box(-20, -20, 36, 36), Box(395, 236, 900, 0.5)])
 def test_a_box_that_jumps_to_the_ground_is_not_found_although_the_tracker_is_sure_of_it(where):
-    judged = Judged(AlwaysSure([*walk(10), *[where] * 5]))
+    judged = JudgedBoxes(AlwaysSure([*walk(10), *[where] * 5]))
     judged.init(image(40, 100), box(40, 100))
     for k in range(1, 11):
         judged.update(image(40 + 3 * k, 100))
@@ -53,7 +53,7 @@ def test_a_box_that_jumps_to_the_ground_is_not_found_although_the_tracker_is_sur
 
 def test_a_box_that_stays_behind_while_the_target_walks_on_is_taken_back_to_it():
     frozen = AlwaysSure([*walk(10), *[box(70, 100)] * 60])
-    judged = Judged(frozen)
+    judged = JudgedBoxes(frozen)
     judged.init(image(40, 100), box(40, 100))
     tracks = [judged.update(image(40 + 3 * k, 100)) for k in range(1, 40)]
     for k, track in enumerate(tracks, start=1):
@@ -63,8 +63,8 @@ def test_a_box_that_stays_behind_while_the_target_walks_on_is_taken_back_to_it()
 
 
 def test_what_follow_flies_of_opencvs_trackers_is_judged_and_ours_is_not():
-    assert isinstance(TrackerSpec.parse("mil").flown().build(), Judged)
-    assert not isinstance(TrackerSpec.parse("mil").build(), Judged)
+    assert isinstance(TrackerSpec.parse("mil").flown().build(), JudgedBoxes)
+    assert not isinstance(TrackerSpec.parse("mil").build(), JudgedBoxes)
     assert TrackerSpec.parse("racf,robust").flown() == TrackerSpec.parse("racf,robust")
     prints = [
         TrackerSpec.parse(name).fingerprint() for name in ("mil", "mil,judged", "mil,refine", "mil,judged,refine")
