@@ -54,6 +54,7 @@ HEIGHT_RELATIVE_STD = 0.5  # a less certain height is not used: its error is not
 NO_HEIGHT = math.inf, math.inf, 0.0
 WAIT_S = 0.15  # an interval waits at most this long for telemetry that covers its frames
 GAP_S = 0.15  # longest gap between the attitudes around a frame: across it a wobble of 1.5 Hz hides half of 0.5 degrees
+PLACE_GAP_S = 0.35  # the same of the positions, five a second at least: a missing one looks like a low flight
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,7 +90,8 @@ class ImageMotionMeter:
         """Take in a round; the measurement of the oldest interval whose poses are known, or None.
 
         A box counts only where the tracker says that it found the target.  An interval is dropped when the attitude at
-        one of its frames is not known: outside the messages, or in a gap of more than `GAP_S` between them.
+        one of its frames is not known: outside the messages, or in a gap of more than `GAP_S` between them.  It
+        tells no height where that holds of the positions: what a vehicle flew unheard is not guessed.
         """
         self.poses.add(state)
         if frame is not None:
@@ -102,7 +104,7 @@ class ImageMotionMeter:
             self._track(frame, box)
         if self._waiting:
             first = self._waiting[0]
-            if state.attitude_t_s >= first.to_t_s or state.t_s - first.to_t_s > WAIT_S:
+            if min(state.attitude_t_s, state.position_t_s) >= first.to_t_s or state.t_s - first.to_t_s > WAIT_S:
                 self._waiting.popleft()
                 known = max(self.poses.attitude_gap_s(t_s) for t_s in (first.from_t_s, first.to_t_s)) <= GAP_S
                 return self.compare(first) if known else None
@@ -157,7 +159,9 @@ class ImageMotionMeter:
                 box_seen = new.centre_x - old.centre_x, new.centre_y - old.centre_y
                 box_expected = float(turned[0, 0]) - old.centre_x, float(turned[0, 1]) - old.centre_y
         went = np.subtract(box_seen, box_expected)
-        height_m, height_std_m, height_shared_std_m = self.height(tracked, known, m - r, t, went, before, after)
+        height_m, height_std_m, height_shared_std_m = NO_HEIGHT
+        if max(map(self.poses.position_gap_s, (tracked.from_t_s, tracked.to_t_s))) <= PLACE_GAP_S:
+            height_m, height_std_m, height_shared_std_m = self.height(tracked, known, m - r, t, went, before, after)
         return ImageMotion(
             from_t_s=tracked.from_t_s,
             t_s=tracked.to_t_s,

@@ -106,10 +106,11 @@ class PoseHistory:
 
     def attitude_gap_s(self, t_s: float) -> float:
         """Seconds between the attitude messages around `t_s`; inf before the first and after the last."""
-        a, b, _ = bracket(self.attitudes, attitude_time, t_s)
-        if a is b:
-            return 0.0 if t_s == a.attitude_t_s else math.inf
-        return b.attitude_t_s - a.attitude_t_s
+        return gap_s(self.attitudes, attitude_time, t_s)
+
+    def position_gap_s(self, t_s: float) -> float:
+        """The same of the position messages."""
+        return gap_s(self.positions, position_time, t_s)
 
     def at(self, t_s: float) -> Pose:
         """Return the pose at `t_s`, interpolated; beyond the newest message extrapolated for at most EXTRAPOLATE_S.
@@ -153,6 +154,14 @@ def bracket(
         return end, end, 1.0
     before, after = states[i - 1], states[i]
     return before, after, (t_s - time(before)) / (time(after) - time(before))
+
+
+def gap_s(states: deque[VehicleState], time: Callable[[VehicleState], float], t_s: float) -> float:
+    """Seconds between the states around `t_s`, 0 at the very time of one; inf before the first and after the last."""
+    a, b, _ = bracket(states, time, t_s)
+    if a is b:
+        return 0.0 if t_s == time(a) else math.inf
+    return time(b) - time(a)
 
 
 def beyond(t_s: float, newest_t_s: float, fraction: float) -> float:

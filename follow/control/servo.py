@@ -63,6 +63,12 @@ class ServoConfig:
 FARTHEST = 2.5
 """At most this multiple of the stand-off is kept to a target far below."""
 
+KEPT_M = 5.0
+"""Height over the target's ground that the gate keeps close to it: 3 m over a head at 2 m."""
+
+FEET = 0.6
+"""The target's feet are kept within this fraction of the way from the middle row to the bottom edge."""
+
 SEEN_S = 1.0
 """A target seen within this time counts as seen: longer than a camera's delay (0.4 s)."""
 
@@ -150,8 +156,15 @@ class Servo:
         if wanted.mode != self.wanted.mode:
             for pid in (self.yaw, self.climb, self.approach, self.aside):
                 pid.reset()
-        standoff_m = self.settings.standoff_m * wanted.standoff_factor
+        set_m = self.settings.standoff_m
+        standoff_m = max(set_m * wanted.standoff_factor, min(set_m, self.nearest_m()))
         self.wanted, self.config = wanted, replace(self.settings, mode=mode, standoff_m=standoff_m)
+
+    def nearest_m(self) -> float:
+        """The least stand-off that a person may trim to: nearer, the gate's height drives the feet out of the image."""
+        c = self.settings
+        below = c.band_rad if c.top_rad is None else FEET * c.top_rad
+        return KEPT_M / math.tan(min(max(self.down_rad + below, below), STEEPEST_RAD))
 
     def accompany(
         self, estimate: Estimate, state: VehicleState, along: float, across: float, dt: float
@@ -190,7 +203,7 @@ class Servo:
         """
         c = self.config
         height = estimate.range_m * math.tan(min(estimate.depression_rad, STEEPEST_RAD))
-        steepest = math.tan(min(max(self.axis_rad() + c.band_rad, c.band_rad), STEEPEST_RAD))
+        steepest = math.tan(min(max(self.middle_rad() + c.band_rad, c.band_rad), STEEPEST_RAD))
         desired = min(max(c.standoff_m, height / steepest), FARTHEST * c.standoff_m)
         error = estimate.range_m - desired
         # Of a target that is not seen the nearest possible range falls without end; braking is the gate's part then.
@@ -198,9 +211,13 @@ class Servo:
             return error
         return min(error, estimate.range_near_m - c.near_fraction * c.standoff_m)
 
-    def axis_rad(self) -> float:
+    def middle_rad(self) -> float:
         """The depression of the image's middle row at the filtered pitch."""
-        return self.down_rad + self.wanted.raise_rad - (self.pitch_rad or 0.0)
+        return self.down_rad - (self.pitch_rad or 0.0)
+
+    def axis_rad(self) -> float:
+        """The depression of the row in which the target is wanted: the middle one, or what a person trims it to."""
+        return self.middle_rad() + self.wanted.raise_rad
 
     def descend(self, estimate: Estimate, state: VehicleState, dt: float) -> float:
         """Return the downward speed that brings the target to the image's middle row at the filtered pitch.
@@ -218,7 +235,8 @@ class Servo:
         highest = c.height_ratio * c.standoff_m * math.tan(min(max(leaning, c.band_rad), STEEPEST_RAD))
         most = estimate.range_m * math.tan(axis)
         now = axis + beyond * max(self.down_rad - state.pitch_rad - axis, 0.0)
-        least = min(estimate.range_m * math.tan(min(max(now - beyond * c.band_rad, 0.0), STEEPEST_RAD)), highest)
+        upper = c.band_rad + min(self.wanted.raise_rad, 0.0)  # the band is the camera's, whatever a person trims
+        least = min(estimate.range_m * math.tan(min(max(now - beyond * upper, 0.0), STEEPEST_RAD)), highest)
         too_high_m = max(height - max(most, least), 0.0) - max(least - height, 0.0)
         down = -self.climb.update(-too_high_m, too_high_m, dt, -state.down_m_s)
         inside = 10.0 * (1.0 - estimate.range_m / c.standoff_m)  # 0 at the stand-off, 1 a tenth inside it

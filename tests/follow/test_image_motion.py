@@ -52,8 +52,9 @@ def image_of(s: VehicleState, lens: Intrinsics = LENS, down_rad: float = DOWN_RA
     return cv2.remap(TEXTURE, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=200)
 
 
-def flown(motion, seconds=1.2, see=image_of, box=None, **meter):
-    """The measurements of a flight: `motion(t)` gives the keywords of `state`, `see(state)` the image."""
+def flown(motion, seconds=1.2, see=image_of, box=None, heard=lambda s: s, **meter):
+    """The measurements of a flight: `motion(t)` gives the keywords of `state`, `see(state)` the image, `heard(state)`
+    the telemetry."""
     measure = ImageMotionMeter(LENS, DOWN_RAD, **meter)
     found = []
     for n in range(round(seconds * FPS)):
@@ -61,7 +62,7 @@ def flown(motion, seconds=1.2, see=image_of, box=None, **meter):
         s = state(t_s, **motion(t_s))
         at = box(t_s) if box else None
         track = Track(at, at, 20.0, 1.0, 1.0) if at else None
-        if (one := measure.update(Frame(see(s), t_s, n), track, s)) is not None:
+        if (one := measure.update(Frame(see(s), t_s, n), track, heard(s))) is not None:
             found.append(one)
     return found
 
@@ -204,6 +205,23 @@ def test_a_shadow_goes_along_with_its_target_and_the_ground_beside_it_does_not(r
     assert np.all(goes_along(went + wobble, t, went))
     assert not np.any(goes_along(ratio * t, t, went))
     assert not np.any(goes_along(ratio * t, t, t[0]))  # a target that stands
+
+
+@pytest.mark.parametrize("again_s", [2.0, 9.0])
+def test_no_height_is_told_over_ground_that_was_flown_unheard(again_s):
+    """Positions stay away from 1 s on, and the vehicle goes on: what it flew would be taken for a low flight."""
+
+    def heard(s):
+        old = state(1.0, **flying(1.0))
+        places = {name: getattr(old, name) for name in ("position_t_s", "north_m", "down_m", "north_m_s")}
+        return replace(s, **places) if 1.0 < s.t_s < again_s else s
+
+    motions = flown(flying, 3.0, box=lambda _t: Box(150, 60, 12, 40), heard=heard)
+    told = [m for m in motions if math.isfinite(m.height_std_m)]
+    assert told
+    assert any(m.from_t_s > 1.0 and m.t_s < again_s for m in motions), "the image is judged all the same"
+    assert not any(m.t_s > 1.0 and m.from_t_s < again_s for m in told)
+    assert all(abs(m.height_m - 8.0) < 3 * m.height_std_m for m in told)
 
 
 def test_a_vehicle_that_only_turns_is_told_no_height():

@@ -298,3 +298,32 @@ def test_a_person_s_wanted_geometry_replaces_the_set_one_and_goes_with_it():
     low, high = (servo.update(seen, state, Wanted(raise_rad=r)).down_m_s for r in (0.0, 0.15))
     assert high < low, "a raised vehicle climbs more"
     assert servo.update(seen, state).forward_m_s == pytest.approx(near, abs=0.2)
+
+
+@pytest.mark.parametrize("autopilot", list(Autopilot))
+@pytest.mark.parametrize("raise_rad", [-0.157, 0.0, 0.157])
+@pytest.mark.parametrize("speed", [0.0, 1.4, 3.0])
+def test_a_person_s_trims_to_the_nearest_leave_the_target_in_a_flat_camera_s_image(autopilot, raise_rad, speed):
+    """The gate climbs near a target; with a camera 11 degrees down that drove it out of the image for 0.2 to 0.8 of
+    the time."""
+    flight = GroundFlight(
+        lambda t_s: (12.0 + speed * max(t_s - 6.0, 0.0), 0.0),
+        autopilot=autopilot,
+        end_s=24.0,
+        seed=None,
+        down_rad=0.2,
+        servo=ServoConfig(top_rad=math.atan(LENS.cy / LENS.fy)),
+        limits=Limits(half_view_rad=LENS.horizontal_fov_rad / 2),
+        wanted=Wanted(standoff_factor=0.5, raise_rad=raise_rad),
+    ).fly()
+    assert all(tick.track.found for tick in flight.ticks)
+    assert flight.ranges()[-1] < 12.0 + speed * 2.0, "and it comes no less near"
+    assert flight.to_body().min() > 4.0
+
+
+def test_a_steep_camera_is_trimmed_to_all_of_the_person_s_wish():
+    servo = Servo(DOWN, ServoConfig(top_rad=0.44))
+    servo.update(estimate(), STATE, Wanted(standoff_factor=0.5))
+    assert servo.config.standoff_m == pytest.approx(0.5 * CONFIG.standoff_m)
+    servo.update(estimate(), STATE, Wanted(standoff_factor=2.0))
+    assert servo.config.standoff_m == pytest.approx(2.0 * CONFIG.standoff_m)

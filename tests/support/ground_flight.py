@@ -6,7 +6,7 @@ RACF was measured to have in drawn scenes (docs/estimate.md).
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from follow.geometry import Intrinsics, camera_to_ned, project
 from follow.loop import follow
 from follow.messages import Autopilot, Frame, ImageMotion, Order, Tick, VehicleState
 from follow.safety.gate import Limits, Safety
+from follow.selection import AS_SET, Wanted
 from racf.box import Box
 from racf.track import Track
 from sim.dynamics import Vehicle, VehicleTruth
@@ -85,6 +86,10 @@ class Parallax:
         return ImageMotion(since_s, state.t_s, 20, *[0.0] * 6, height_m=seen_m, height_std_m=std_m)
 
 
+WANTED_S = 4.0
+"""When a person trims the flight."""
+
+
 @dataclass
 class GroundFlight:
     """One flight.  After `fly`, `rows` holds what was true at each tick."""
@@ -104,6 +109,7 @@ class GroundFlight:
     visible: Callable[[float], bool] = lambda t_s: True
     grown: Callable[[float], float] = lambda t_s: 1.0  # by what factor the tracker's box is wrong
     parallax: bool = False  # whether the ground's motion in the image is measured
+    wanted: Wanted = AS_SET  # from WANTED_S on
     state: Callable[[VehicleState], VehicleState] = lambda state: state  # what the estimator hears
     watch: Callable[[], None] = lambda: None  # runs after each tick, while the estimate is that of the tick
     ticks: list[Tick] = field(default_factory=list)
@@ -167,7 +173,7 @@ class GroundFlight:
             self.estimator,
             Servo(self.down_rad, self.servo),
             Safety(self.limits),
-            orders,
+            lambda: replace(orders(), wanted=self.wanted if self.now_s >= WANTED_S else AS_SET),
             Parallax(self) if self.parallax else None,
         )
         for tick in loop:
