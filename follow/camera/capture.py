@@ -241,7 +241,14 @@ def open_stream(name: CameraName, clock: Callable[[], float]) -> StreamCapture:
         why = getattr(error, "strerror", None) or str(error)
         raise CameraError(f"camera {name.text!r} cannot be opened: {why}") from None
     clocks: dict[CameraKind, FrameClock] = {CameraKind.DEVICE: KernelClock(), CameraKind.LAVFI: AsItComes()}
-    return StreamCapture(container, clock, taken=clocks.get(name.kind))
+    try:
+        capture = StreamCapture(container, clock, taken=clocks.get(name.kind))
+        if 0 in capture.size:
+            capture.close()
+            raise CameraError("no image came: is it sending, and a key frame at least twice a second?")
+    except CameraError as error:
+        raise CameraError(f"camera {name.text!r} cannot be opened: {error}") from None
+    return capture
 
 
 def _how(name: CameraName) -> tuple[str, str | None, dict[str, str]]:

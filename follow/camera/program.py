@@ -7,6 +7,7 @@ are killed it loses its pipe (SIGPIPE).
 import contextlib
 import fcntl
 import os
+import re
 import select
 import shlex
 import signal
@@ -28,11 +29,17 @@ from racf.video import ANY_TEXT, to_bgr
 
 CHUNK = 1 << 20  # bytes in one read at most: a pipe holds 64 KiB unless it was made larger
 USUAL_PIPE = 1 << 16  # bytes that a pipe holds where the system does not tell
+LONGEST_LINE = 4096  # bytes; a longer line of error, as of progress without a line feed, is taken in pieces
+MOST_SAID = 300  # characters of it that are shown
 END_S = 1.0  # after SIGTERM, before SIGKILL
-SOI, EOI = (
-    b"\xff\xd8",
-    b"\xff\xd9",
-)  # JPEG's start and end of image; within the coded data 0xff is followed by 0x00 or a restart marker
+SOI = b"\xff\xd8"  # JPEG's start of image
+JPEG_END = re.compile(rb"\xff\xd9\0*(?=\xff\xd8|\Z)")
+"""JPEG's end of image, with the zeros that some encoders pad it with, before another image or the end of what came.
+
+Within the coded data 0xff is followed by 0x00 or a restart marker; a thumbnail's end is followed by another marker.
+"""
+LOOK_BACK = 64  # bytes of an end that may have come with the read before
+MOST_JPEG = 16_000_000  # bytes of one image: 3840x2160 of the best quality takes 10 MB
 BARE_FPS = "30"  # a bare stream's nominal rate: its stamps are not used
 
 
@@ -94,9 +101,10 @@ class RunningProgram:
 
     def _listen(self) -> None:
         assert self._process.stderr is not None
-        for line in self._process.stderr:
-            if text := line.decode(errors="replace").strip():
-                self.last_error = text
+        while line := self._process.stderr.readline(LONGEST_LINE):
+            said = [part.strip() for part in line.decode(errors="replace").split("\r")]  # progress overwrites itself
+            if any(said):
+                self.last_error = next(part for part in reversed(said) if part)[:MOST_SAID]
 
     def read(self, size: int) -> bytes:
         """What there is, at most `size` bytes; b"" at the end.  Raises CameraError when nothing comes."""
@@ -214,23 +222,30 @@ class JpegCapture:
         self.size = (first[0].shape[1], first[0].shape[0])
 
     def _decoded(self) -> Iterator[tuple[Image, float | None]]:
-        held = b""
+        held, image_t_s = b"", self._program.read_t_s
         while data := self._program.read(CHUNK):
+            looked = max(len(held) - LOOK_BACK, 0)
             held += data
-            if not held.endswith(EOI):
-                continue
-            # Of several that waited only the last is of use; one starts where another ended.
-            newest = held[held.rfind(EOI + SOI, 0, -2) + 2 :] if EOI + SOI in held else held
+            ends = [end.end() for end in JPEG_END.finditer(held, looked)]
             taken_t_s = None
-            for _ in range(held.count(EOI + SOI) + 1):
+            for _ in ends:
                 taken_t_s = self._taken.taken_at(0.0, self._program.read_t_s)
-            held = b""
-            try:
-                frames = self._context.decode(av.Packet(newest))
-            except av.error.FFmpegError:
-                continue
-            for frame in frames:
-                yield to_bgr(frame, self.shrink), taken_t_s
+            # Of several that waited only the last is of use; one starts where another ended.
+            newest = held[([0, *ends])[-2] : ends[-1]] if ends else b""
+            held = held[ends[-1] :] if ends else held
+            for image in self._image(newest):
+                image_t_s = self._program.read_t_s
+                yield image, taken_t_s
+            if len(held) > MOST_JPEG or self._program.read_t_s - image_t_s > self._program.timeout_s:
+                raise CameraError("it writes no JPEG that can be decoded")
+
+    def _image(self, jpeg: bytes) -> Iterator[Image]:
+        """What can be decoded: one image or none."""
+        try:
+            frames = self._context.decode(av.Packet(jpeg)) if jpeg else []
+        except av.error.FFmpegError:
+            return
+        yield from (to_bgr(frame, self.shrink) for frame in frames)
 
     def images(self) -> Iterator[tuple[Image, float | None]]:
         """Yield the newest image of each read until the program ends."""

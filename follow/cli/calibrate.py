@@ -1,6 +1,7 @@
 """`follow calibrate`: a camera file from a video or a folder of images of a board."""
 
 import math
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -30,11 +31,17 @@ def calibrate(command: CalibrateCommand) -> None:
     board = board_of(command)
     if is_live(command.source):
         raise UsageError(f"calibrate reads a video file or a folder of images, not the live source {command.source!r}")
+    refuse_out(command.out)
     terminal = Terminal()
     views, size, seen = gather(command, board, terminal)
     blurred = sum(not board.is_sharp(view) for view in views)
     sharp = [view for view in views if board.is_sharp(view)]
     terminal.report(f"{seen} images looked at: {len(views)} show the board, {blurred} of them blurred")
+    if not views:
+        terminal.report(
+            "is it the board that --pattern and --board describe? A checkerboard must be whole in the image, and its "
+            "inner corners are counted: 9x6 for 10x7 squares"
+        )
     fit = fit_lens(diverse(sharp, size, MOST_VIEWS), size, command.lens)
     command.out.parent.mkdir(parents=True, exist_ok=True)
     command.out.write_text(as_opencv_yaml(fit.lens, Fit(fit.rms_px, len(fit.views), str(board))))
@@ -43,6 +50,13 @@ def calibrate(command: CalibrateCommand) -> None:
     for line in summary(fit, size, command.lens):
         terminal.report(line)
     terminal.report(f"written: {command.out}, and the plot {plot}; fly with --camera.calibration {command.out}")
+
+
+def refuse_out(out: Path) -> None:
+    """Raise UsageError for a file that cannot be written, before a minute is spent on finding what belongs in it."""
+    folder = next(parent for parent in (out.absolute().parent, *out.absolute().parents) if parent.exists())
+    if out.is_dir() or not folder.is_dir() or not os.access(out if out.exists() else folder, os.W_OK):
+        raise UsageError(f"--out {str(out)!r} must be a file that can be written")
 
 
 def board_of(command: CalibrateCommand) -> Board:

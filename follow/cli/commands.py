@@ -329,7 +329,7 @@ class CalibrateCommand:
     def __post_init__(self) -> None:
         if not 0 < self.marker_fraction < 1:
             raise ValueError(f"--marker-fraction lies between 0 and 1, not {self.marker_fraction:g}")
-        if self.out.is_dir() or self.out.suffix == ".png":
+        if self.out.is_dir() or self.out.suffix.lower() == ".png":
             raise ValueError(f"--out must be a file to write, not ending in .png; {str(self.out)!r} is not one")
 
 

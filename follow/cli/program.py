@@ -58,7 +58,8 @@ def execute(words: Sequence[str]) -> None:
     elif isinstance(command, ReportCommand):
         from follow.recording.report import write_report
 
-        write_report(command.flight, command.out)
+        page = write_report(command.flight, command.out)
+        print(f"written: {page}; open it in a browser")
     elif isinstance(command, CalibrateCommand):
         from follow.cli.calibrate import calibrate
 

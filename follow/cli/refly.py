@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import chain
+from pathlib import Path
 
 from follow.cli.commands import ReflyCommand
 from follow.cli.layers import flown_with
@@ -18,7 +19,7 @@ from follow.messages import Tick
 from follow.operator.terminal import Terminal
 from follow.recording.comparison import Difference, write_comparison
 from follow.recording.exact import ExactFlight, digest, read_exact
-from follow.recording.flight_table import setting_values
+from follow.recording.flight_table import FlightTable, setting_values
 from follow.recording.folder import claimed
 from follow.recording.recorder import Recorder
 from follow.recording.refly import RecordedFlight, RecordedMeter, RecordedTracker
@@ -62,10 +63,29 @@ def refly(command: ReflyCommand) -> None:
             finished = fly(ticks, recorder, terminal.report, lambda _tick: flight.truth())
             figures = recorder.close(Figures(refly_differs=difference.rounds))
         terminal.report(difference.sentence(same=same))
-        write_comparison(command.flight, out, difference.sentence(same=same), settings_changed(was, flown))
+        compare_pages(command.flight, out, difference, settings_changed(was, flown), terminal, same=same)
     conclude(figures, out, terminal, as_json=command.json, finished=finished, failure=recorder.failure)
     if same and difference.rounds:
         raise ValueError(f"the recorded settings do not give the recorded outcome: {difference.sentence(same=True)}")
+
+
+def compare_pages(
+    flight: Path,
+    out: Path,
+    difference: Difference,
+    changed: dict[str, tuple[str, str]],
+    terminal: Terminal,
+    *,
+    same: bool,
+) -> None:
+    """Write `refly.html`, or say why not: it needs `ticks.csv`, which the flight itself does not."""
+    try:
+        rows = len(FlightTable(flight).t_s)
+        if rows > difference.total:
+            terminal.report(f"messages.jsonl.gz holds {difference.total} of {rows} rounds; the rest is not flown again")
+        write_comparison(flight, out, difference.sentence(same=same), changed)
+    except ValueError as error:
+        terminal.report(f"refly.html is not written: {error}")
 
 
 def again(recorded: ExactFlight, flight: RecordedFlight, config: Config) -> Iterator[Tick]:

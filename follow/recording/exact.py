@@ -7,6 +7,7 @@ them.  A number is written so that it reads back to the same 64 bits.  The strea
 a killed flight reads to there.
 """
 
+import contextlib
 import hashlib
 import json
 import math
@@ -52,6 +53,7 @@ class Round:
 
     state: VehicleState
     frame: tuple[float, int] | None = None  # time and number
+    scale: int = 1  # pixels of the source in one of the frame's
     track: Track | None = None
     motion: ImageMotion | None = None
     instruction: Instruction = NO_INSTRUCTION
@@ -89,6 +91,8 @@ class ExactWriter:
         self._state = state
         if tick.frame is not None:
             line["frame"] = [tick.frame.t_s, tick.frame.index]
+            if tick.frame.scale != 1:
+                line["scale"] = tick.frame.scale
         if tick.track is not None:
             line["track"] = {name: plain(getattr(tick.track, name)) for name in SEEN}
         if tick.motion is not None:
@@ -150,6 +154,7 @@ def read_exact(path: Path) -> ExactFlight:
             found = Round(
                 revive(VehicleState, state),
                 cast("tuple[float, int]", tuple(line["frame"])) if "frame" in line else None,
+                int(line.get("scale", 1)),
                 revive(Track, track) if track is not None else None,
                 revive(ImageMotion, line["motion"]) if "motion" in line else None,
                 revive(Instruction, line["instruction"]) if "instruction" in line else NO_INSTRUCTION,
@@ -173,6 +178,8 @@ def read_said(path: Path) -> list[tuple[float, str]]:
 
 
 def _setup(path: Path, line: dict[str, Any]) -> Setup:
+    if not line:
+        raise ValueError(f"{path} holds nothing: the flight broke off before its first second was written")
     if line.get("version") != VERSION:
         raise ValueError(f"{path} is not a recording of version {VERSION}")
     try:
@@ -184,18 +191,34 @@ def _setup(path: Path, line: dict[str, Any]) -> Setup:
 def _lines(path: Path) -> Iterator[dict[str, Any]]:
     """Each whole line of a file that may end anywhere."""
     unzip = zlib.decompressobj(wbits=GZIP)
-    rest = b""
+    rest, lines = b"", 0
     with path.open("rb") as file:
         while data := file.read(1 << 16):
+            before, broken = unzip.copy(), None
             try:
-                *whole, rest = (rest + unzip.decompress(data)).split(b"\n")
+                text = unzip.decompress(data)
             except zlib.error as error:
-                raise ValueError(f"{path} is not a gzip file: {error}") from None
+                text, broken = _until_broken(before, data), error
+            *whole, rest = (rest + text).split(b"\n")
             for line in whole:
+                lines += 1
                 found = json.loads(line)
                 if not isinstance(found, dict):
                     raise ValueError(f"{path}: a line is not a JSON object")
                 yield found
+            if broken is not None:
+                if not lines:
+                    raise ValueError(f"{path} is not a gzip file: {broken}") from None
+                return  # behind the last flush: what a power cut left, as zeros
+
+
+def _until_broken(unzip: Any, data: bytes) -> bytes:
+    """What comes out of the bytes before the one that does not belong to the stream."""
+    text = b""
+    with contextlib.suppress(zlib.error):
+        for n in range(len(data)):
+            text += unzip.decompress(data[n : n + 1])
+    return text
 
 
 def plain(value: object) -> object:

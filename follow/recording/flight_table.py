@@ -36,11 +36,12 @@ class FlightTable:
     def __init__(self, folder: Path) -> None:
         path = folder / "ticks.csv"
         try:
-            with path.open(newline="", encoding="utf-8") as file:
-                whole = list(csv.reader(file))
+            with path.open(newline="", encoding="utf-8", errors="replace") as file:
+                whole = list(csv.reader(line.replace("\0", "") for line in file))  # zeros: what a power cut leaves
         except (FileNotFoundError, NotADirectoryError):
             raise ValueError(f"{str(folder)!r} holds no ticks.csv: give the folder of a flight") from None
         rows = [row for row in whole[1:] if len(row) == len(whole[0])]  # a killed flight's last row may be torn
+        self._path = path
         if not rows or "t_s" not in whole[0]:
             raise ValueError(f"{str(path)!r} holds no round of a flight")
         self._columns = {name: [row[n] for row in rows] for n, name in enumerate(whole[0])}
@@ -51,8 +52,11 @@ class FlightTable:
         return self._columns.get(name, [""] * len(self.t_s))
 
     def numbers(self, name: str) -> Array:
-        """A column as numbers, NaN where it is empty."""
-        return np.array([float(cell) if cell else np.nan for cell in self._columns.get(name, [])])
+        """A column as numbers, NaN where it is empty.  Raises ValueError for a cell that holds another thing."""
+        try:
+            return np.array([float(cell) if cell else np.nan for cell in self._columns.get(name, [])])
+        except ValueError as error:
+            raise ValueError(f"{str(self._path)!r}: column {name} must hold numbers: {error}") from None
 
     def spans(self, names: Sequence[str], why: str = "") -> list[Span]:
         """Runs of rows in which the words of these columns stay the same, in order; `why` names a column of reasons."""
@@ -114,7 +118,7 @@ def summary_of(folder: Path) -> dict[str, object]:
 def settings_of(folder: Path) -> dict[str, str]:
     """Dotted name -> value as text of `settings.toml`, the derived ones by the same names; empty if there is none."""
     try:
-        text = (folder / "settings.toml").read_text()
+        text = (folder / "settings.toml").read_text(errors="replace")
     except FileNotFoundError:
         return {}
     return {name.removeprefix("derived."): value for name, value in setting_values(text).items()}

@@ -53,7 +53,7 @@ class RecordedFlight:
         """Yield each recorded frame's time and number, or None for a round without one."""
         while self._next < self.flown:
             coming = self.rounds[self._next]
-            yield None if coming.frame is None else Frame(self._image(coming), *coming.frame)
+            yield None if coming.frame is None else Frame(self._image(coming), *coming.frame, coming.scale)
 
     def state(self) -> VehicleState:
         """Begin the next round: the vehicle as it was."""

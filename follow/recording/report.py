@@ -15,8 +15,13 @@ HIDDEN = ("modes", "tick_ms", "tracker_ms", *HEAD)
 
 def write_report(flight: Path, out: Path | None = None) -> Path:
     """Write the page of a flight and return its file.  Raises OSError, ValueError for a folder that holds no flight."""
-    path = out or flight / "report.html"
-    replace_file(path, report(flight))
+    path, text = out or flight / "report.html", report(flight)
+    if path.is_dir():
+        raise OSError(f"--out {str(path)!r} is a folder: give the name of a file, as {str(path / 'report.html')!r}")
+    try:
+        replace_file(path, text)
+    except OSError as error:
+        raise OSError(f"{str(path)!r} cannot be written: {error.strerror}; give another file with --out") from None
     return path
 
 
@@ -41,7 +46,7 @@ def report(flight: Path) -> str:
     page.table(("field", "value"), [(name, _shown(value)) for name, value in summary.items() if name not in HIDDEN])
     page.table(("of the flight", ""), [(name, _shown(summary[name])) for name in HEAD if name in summary])
     if (flight / "settings.toml").is_file():
-        page.fold("Settings", (flight / "settings.toml").read_text())
+        page.fold("Settings", (flight / "settings.toml").read_text(errors="replace"))
     return page.text
 
 

@@ -149,6 +149,8 @@ def test_the_views_that_are_kept_differ():
         (["--square-m", "0"], "positive side"),
         (["--marker-fraction", "2"], "between 0 and 1"),
         (["--out", "x.png"], "not ending in .png"),
+        (["--out", "x.PNG"], "not ending in .png"),
+        (["--out", "/dev/null/x.yaml"], "a file that can be written"),
     ],
 )
 def test_a_board_that_cannot_be_is_wrong_use(words, said, tmp_path, capsys):
@@ -161,5 +163,7 @@ def test_a_live_source_is_wrong_use_and_a_folder_without_a_board_fails(tmp_path,
     assert "not the live source" in capsys.readouterr().err
     cv2.imwrite(str(tmp_path / "1.png"), np.full((90, 160, 3), 128, np.uint8))
     assert main(["calibrate", str(tmp_path), "--out", str(tmp_path / "c.yaml")]) == 1
-    assert "0 usable views" in capsys.readouterr().err
+    err = capsys.readouterr().err
+    assert "9x6 for 10x7 squares" in err
+    assert "0 usable views" in err
     assert not (tmp_path / "c.yaml").exists()

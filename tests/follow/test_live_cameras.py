@@ -8,13 +8,16 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import cast
 
+import cv2
 import numpy as np
 import pytest
 
 from follow.camera import CameraError, live
 from follow.camera.live import LiveVideo
 from follow.camera.names import CameraName
+from follow.camera.program import JpegCapture, RunningProgram
 from follow.cli.commands import RunCommand
 from follow.cli.run import open_camera
 from follow.config import CameraConfig, Config
@@ -206,6 +209,60 @@ def test_a_program_that_gives_no_video_is_refused_with_its_last_line(command, wh
         LiveVideo(f"exec:{command}", print)
     assert "cannot be opened" in str(refusal.value)
     assert why in str(refusal.value)
+
+
+JPEG = cv2.imencode(".jpg", np.random.default_rng(0).integers(0, 255, (120, 160, 3), np.uint8))[1].tobytes()
+
+
+def writing(*chunks: bytes) -> RunningProgram:
+    """A program that writes each of the chunks when it is read, then the last one for ever; 30 reads a second."""
+    reads = itertools.count()
+
+    class Written:
+        timeout_s = 10.0
+        read_t_s = 0.0
+
+        def read(self, _size: int) -> bytes:
+            n = next(reads)
+            self.read_t_s = n / 30
+            return chunks[min(n, len(chunks) - 1)]
+
+    return cast(RunningProgram, Written())
+
+
+@pytest.mark.parametrize("cut", [len(JPEG), 700, len(JPEG) - 1])
+def test_images_that_are_padded_and_cut_anywhere_are_found(cut):
+    padded = JPEG + bytes(7)
+    capture = JpegCapture(writing(padded[:cut], padded[cut:] + padded[:cut]))
+    assert capture.size == (160, 120)
+    shown = [image for image, _ in itertools.islice(capture.images(), 40)]
+    assert {image.shape for image in shown} == {(120, 160, 3)}
+    assert all(np.array_equal(image, shown[0]) for image in shown)
+
+
+@pytest.mark.parametrize("chunk", [bytes(1 << 20), b"\xff\xd8" + bytes(10), b"\xff\xd8 no image \xff\xd9"])
+def test_output_without_an_image_is_refused_and_fills_no_memory(chunk):
+    with pytest.raises(CameraError, match="no JPEG that can be decoded"):
+        JpegCapture(writing(chunk))
+
+
+@pytest.mark.parametrize(
+    ("media", "why"),
+    [("", "there is no video in it"), ("m=video 5994 RTP/AVP 96\na=rtpmap:96 H264/90000\n", "no image came")],
+)
+def test_an_sdp_file_without_a_sender_is_refused_by_its_name(tmp_path, media, why):
+    file = tmp_path / "camera.sdp"
+    file.write_text("v=0\no=- 0 0 IN IP4 127.0.0.1\ns=x\nc=IN IP4 127.0.0.1\nt=0 0\n" + media)
+    with pytest.raises(CameraError, match=why) as refusal:
+        LiveVideo(str(file), print)
+    assert "camera.sdp' cannot be opened" in str(refusal.value)
+
+
+def test_a_long_line_of_error_is_shown_by_its_end():
+    command = 'sh -c \'yes progress | head -n 20000 | tr "\\n" "\\r" >&2; echo sensor lost >&2; exit 3\''
+    with pytest.raises(CameraError, match="status 3: sensor lost") as refusal:
+        LiveVideo(f"exec:{command}", print)
+    assert len(str(refusal.value)) < 400
 
 
 def test_the_delay_that_a_camera_is_known_to_have_is_taken_off_and_granted_by_the_gate():

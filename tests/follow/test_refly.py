@@ -10,6 +10,8 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -19,6 +21,7 @@ from follow.cli.program import main
 from follow.geometry import Intrinsics, LensModel
 from follow.messages import Cause, ImageMotion, Instruction, Landed, Order, Reason, VehicleState
 from follow.recording.exact import ExactWriter, Setup, plain, read_exact, revive
+from follow.recording.flight_table import FlightTable
 from sim.clip import write
 from sim.scenarios import SCENARIOS
 from tests.follow.test_calibration import FIT
@@ -94,10 +97,18 @@ def test_a_recording_that_ends_anywhere_reads_to_there(tmp_path):
     assert before > 30
 
 
+def test_what_a_power_cut_leaves_behind_the_last_flush_is_left_out(tmp_path):
+    recorded(tmp_path, 60)
+    whole = (tmp_path / "messages.jsonl.gz").read_bytes()
+    flushed = whole.rfind(bytes((0, 0, 0xFF, 0xFF))) + 4  # zlib's mark of a flush
+    (tmp_path / "cut.gz").write_bytes(whole[:flushed] + bytes(4096))
+    assert len(read_exact(tmp_path / "cut.gz").rounds) > 30
+
+
 @pytest.mark.parametrize(
     ("content", "rule"),
     [
-        (b"", "not a recording of version"),
+        (b"", "holds nothing: the flight broke off"),
         (b"plain text", "not a gzip file"),
         (gzip.compress(b"[1]\n"), "not a JSON object"),
         (gzip.compress(b'{"version":7}\n'), "not a recording of version"),
@@ -167,6 +178,30 @@ def test_a_replay_flown_again_is_equal_to_the_last_bit(capfd, tmp_path, ptz):
     assert status == 0, err
     assert json.loads(out)["refly_differs"] == 0
     assert json.loads(out)["frames"] == 20
+
+
+def test_a_shrunk_source_keeps_its_pixels_and_a_recording_without_rows_has_no_page(capfd, tmp_path):
+    images = tmp_path / "images"
+    images.mkdir()
+    blocks = np.random.default_rng(0).integers(0, 255, (68, 120, 3), np.uint8)
+    for n in range(5):
+        cv2.imwrite(str(images / f"{n}.png"), np.kron(blocks, np.ones((16, 16, 1), np.uint8)))
+    out = tmp_path / "out"
+    words = ("replay", images, "--target", "500,300,200,200", "--out", out, "--record.no-pictures")
+    assert follow(capfd, *words)[0] == 0
+    assert follow(capfd, "refly", out)[0] == 0
+    columns = [f"track_{name}_px" for name in "xywh"]
+    was, again = FlightTable(out), FlightTable(out / "refly")
+    assert was.numbers("track_w_px")[0] == 200
+    for name in columns:
+        assert again.numbers(name) == pytest.approx(was.numbers(name))
+    rows = (out / "ticks.csv").read_text()
+    (out / "ticks.csv").write_text(rows + rows.splitlines()[-1] + "\n")
+    assert "holds 5 of 6 rounds" in follow(capfd, "refly", out)[2]
+    (out / "ticks.csv").unlink()
+    status, _, err = follow(capfd, "refly", out)
+    assert status == 0
+    assert "refly.html is not written" in err
 
 
 def test_a_flight_is_not_flown_into_its_own_folder_nor_with_another_camera(capfd, brief, tmp_path):

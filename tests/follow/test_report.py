@@ -88,6 +88,35 @@ def test_a_folder_without_a_flight_is_refused_in_one_line(tmp_path, capfd, conte
     assert len(err.strip().splitlines()) == 1
 
 
+def test_a_page_that_cannot_be_written_is_refused_by_its_name_and_leaves_nothing(tmp_path, capfd):
+    (tmp_path / "flight").mkdir()
+    (tmp_path / "folder").mkdir()
+    recorded(tmp_path / "flight")
+    for out in (tmp_path / "folder", tmp_path / "missing" / "page.html"):
+        assert main(["report", str(tmp_path / "flight"), "--out", str(out)]) == 1
+        err = capfd.readouterr().err
+        assert repr(str(out)) in err
+        assert ".new" not in err
+    assert {path.name for path in tmp_path.iterdir()} == {"flight", "folder"}
+    assert main(["report", str(tmp_path / "flight")]) == 0
+    assert str(tmp_path / "flight" / "report.html") in capfd.readouterr().out
+
+
+def test_a_damaged_recording_has_its_page_or_is_refused_by_name(tmp_path, capfd):
+    recorded(tmp_path)
+    with (tmp_path / "ticks.csv").open("ab") as rows:
+        rows.write(bytes(4096) + b"\xe9")
+    (tmp_path / "settings.toml").write_bytes(b"# \xe9\n" + (tmp_path / "settings.toml").read_bytes())
+    assert main(["report", str(tmp_path)]) == 0
+    lines = (tmp_path / "ticks.csv").read_bytes().splitlines()
+    lines[3] = lines[3].replace(b"0", b"x")
+    (tmp_path / "ticks.csv").write_bytes(b"\n".join(lines))
+    assert main(["report", str(tmp_path)]) == 1
+    err = capfd.readouterr().err
+    assert "ticks.csv" in err
+    assert "must hold numbers" in err
+
+
 def test_the_figures_of_the_summary_are_on_the_page(tmp_path):
     recorded(tmp_path)
     summary = json.loads((tmp_path / "summary.json").read_text())
