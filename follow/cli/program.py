@@ -2,6 +2,7 @@
 
 import os
 import sys
+import threading
 from collections.abc import Sequence
 
 from follow.camera import CameraError
@@ -77,8 +78,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         lambda: execute(words), prog="follow", failures=(CameraError, LinkError, NotFitError, RecordingError)
     )
     log = sys.modules.get("follow.recording.rerun_log")
-    if argv is None and log is not None and log.BROKEN:
+    stuck = any(thread.name in ("the recording", "the view") for thread in threading.enumerate())
+    if argv is None and log is not None and (stuck or log.BROKEN):
         sys.stdout.flush()
         sys.stderr.flush()
-        os._exit(status)  # everything is closed; Rerun would wait for the full disk for ever
+        os._exit(status)  # everything is closed; Rerun would wait for the disk or the viewer for ever
     return status
