@@ -31,6 +31,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import nullcontext
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -52,6 +53,22 @@ WATCH_S = 0.01  # as fine as the system counts its host's time
 
 Readings = list[tuple[float, int]]
 """When, and what the host had taken by then, in the system's ticks of all cores."""
+
+
+def frame_to_setpoint_ms(rows: list[dict[str, str]], times: list[float]) -> list[float]:
+    """From each frame to the first setpoint that passed after its round began, ms.
+
+    `times` are on this machine's monotonic clock; the rows of ticks.csv count from the flight's start, whose time of
+    day they have to a millisecond.
+    """
+    day_s = datetime.fromisoformat(rows[0]["utc"].replace("Z", "+00:00")).timestamp()
+    start_s = day_s - float(rows[0]["t_s"]) - (time.time() - time.monotonic())
+    found: list[float] = []
+    for row in rows:
+        after = int(np.searchsorted(times, start_s + float(row["t_s"])))
+        if 0 < after < len(times):
+            found.append(1e3 * (times[after] - start_s - float(row["frame_t_s"])))
+    return found
 
 
 def watched(seconds: float) -> Readings:
@@ -188,8 +205,7 @@ def main() -> int:
             rows = [row for row in csv.DictReader(file) if row["frame"] and row["setpoint_forward_m_s"]]
         summary = json.loads((Path(out) / "summary.json").read_text())
     intervals = 1e3 * np.diff(times)
-    frames = np.array([float(row["frame_t_s"]) for row in rows])  # one machine, one monotonic clock
-    latency = [1e3 * (t - frames[i - 1]) for t in times if (i := int(np.searchsorted(frames, t))) > 0]
+    latency = frame_to_setpoint_ms(rows, times)
     p50, p99 = np.percentile(intervals, (50, 99))
     if ground is not None:
         video_mb = ground.received / 1e6

@@ -81,4 +81,6 @@ def consoles_of(
     operator: Operator, tracker: Selector, report: Notify, servo: ServoConfig, *, follows: bool = False
 ) -> Consoles:
     """The consoles of a flight."""
-    return Consoles(operator, tracker.choose, report, servo.standoff_m, follows, set_mode=servo.mode.value)
+    consoles = Consoles(operator, tracker.choose, report, servo.standoff_m, follows, set_mode=servo.mode.value)
+    consoles.is_looking, tracker.decided = lambda: tracker.is_looking, consoles.decided
+    return consoles

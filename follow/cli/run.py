@@ -325,7 +325,7 @@ def fly_prepared(
     meter = ImageMotionMeter(seen.lens, seen.down_rad)
     with recent as camera, ThreadPoolExecutor(1, "click") as looks, contextlib.ExitStack() as open_sides:
         snap = {} if command.detector is None else {"snap": Detector(command.detector).snap}
-        tracker = Selector(*flight.tracker, recent, operator.retarget, seen.target, looks, report, **snap)
+        tracker = Selector(*flight.tracker, recent, operator.retarget, seen.target, looks, **snap)
         operator.forget = target.forget
         if command.aim:
             operator.aim = tracker.restart

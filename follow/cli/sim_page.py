@@ -69,7 +69,7 @@ def fly_in_real_time(flight: FlightSpec, exchange: Exchange, terminal: Terminal)
     with record(flight.out, config.record, terminal.report) as recorder, ThreadPoolExecutor(1, "click") as looks:
         recorder.settings(as_toml(flight.config, config, flight.scene))
         terminal.listeners.append(recorder.message)
-        tracker = Selector(*tracker_parts, recent, operator.retarget, None, looks, terminal.report)
+        tracker = Selector(*tracker_parts, recent, operator.retarget, None, looks)
         operator.forget = target.forget
         consoles = consoles_of(operator, tracker, terminal.report, config.servo)
         operator.wanted = lambda: consoles.wanted

@@ -53,8 +53,9 @@ class Selector:
 
     `init` learns the target in a box, `track` finds it again, around the prior if there is one; `begin` is called as a
     new target has been caught up with, so that nothing of the old one is believed.  `box` is the target in the first
-    frame, None to wait for a selection.  `looks` finds the box of a click beside the loop (None: at once); `refuse` is
-    told why there is none.  `snap` finds an object's box at a place; GrabCut finds one if it does not.
+    frame, None to wait for a selection.  `looks` finds the box of a click beside the loop (None: at once); then
+    `decided` is told why there is none, empty if there is one.  `snap` finds an object's box at a place; GrabCut finds
+    one if it does not.
     """
 
     def __init__(
@@ -65,12 +66,12 @@ class Selector:
         begin: Callable[[], None],
         box: Box | None = None,
         looks: Executor | None = None,
-        refuse: Callable[[str], object] = lambda _why: None,
         snap: Snap = lambda _image, _x, _y: None,
     ) -> None:
         self._init, self._track, self._recent, self._begin = init, track, recent, begin
         self._first = self._box_at_start = box
-        self._looks, self._refuse, self._snap = looks, refuse, snap
+        self._looks, self._snap = looks, snap
+        self.decided: Callable[[str], object] = lambda _why: None
         self._looking: tuple[Future[Box | str], Frame] | None = None
         self._start: Start | None = None
         self._done_t_s: float | None = None  # time of the last frame that was tracked while behind; None: not behind
@@ -81,6 +82,11 @@ class Selector:
     def has_target(self) -> bool:
         """Whether there is a target, caught up with or not."""
         return self._has_target or self._start is not None or self._first is not None
+
+    @property
+    def is_looking(self) -> bool:
+        """Whether the box of a click is looked for; `decided` will be told."""
+        return self._looking is not None
 
     def choose(self, choice: Choice) -> str:
         """Take a selection or a stop; returns why it is refused, empty if it is taken."""
@@ -98,7 +104,7 @@ class Selector:
     def _take(self, box: Box | str, frame: Frame) -> str:
         if isinstance(box, str):
             return box
-        self._start, self._first = Start(box, frame), None
+        self._start, self._first, self._looking = Start(box, frame), None, None
         return ""
 
     def restart(self) -> None:
@@ -125,8 +131,7 @@ class Selector:
         """The track of the newest frame; not found while the tracker catches up, None without a target."""
         if self._looking is not None and self._looking[0].done():
             (found, frame), self._looking = self._looking, None
-            if why := self._take(found.result(), frame):
-                self._refuse(why)
+            self.decided(self._take(found.result(), frame))
         if self._first is not None:
             box, self._first, self._has_target = self._first, None, True
             return self._init(image, box)

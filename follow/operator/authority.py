@@ -160,7 +160,9 @@ class Operator:
         self.changes.see(tick)
 
     def order(self, order: Order, by: str = "the program") -> None:
-        """Queue an order; the next round gives it."""
+        """Queue an order; the next round gives it.  OBSERVE goes before what waits, and voids it."""
+        if order is Order.OBSERVE:
+            self.waiting.clear()
         self.waiting.append((order, by))
 
     def leave(self, why: str) -> None:

@@ -10,6 +10,7 @@ that is changed in flight is looked at (spotlight) until FOLLOW is ordered again
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import Enum
 
@@ -80,8 +81,9 @@ class Reply:
 class Consoles:
     """The consoles' side of the operator, called in the loop's thread only.
 
-    `select` takes a choice to the tracker.  `standoff_m` is the stand-off that is set; `follows` lets a box that is
-    drawn order FOLLOW by itself.
+    `select` takes a choice to the tracker; `is_looking` says whether the box of a tap is still looked for: `decided` is
+    told what was found, and `answer` the console.  `standoff_m` is the stand-off that is set; `follows` lets a box
+    that is drawn order FOLLOW by itself.
     """
 
     operator: Operator
@@ -90,6 +92,9 @@ class Consoles:
     standoff_m: float = 12.0
     follows: bool = False
     tell: Notify = lambda _text: None  # a short text for the pilot
+    is_looking: Callable[[], bool] = lambda: False
+    answer: Callable[[str, Reply], object] = lambda _console, _reply: None
+    tapped_by: str = ""
     commander: str = ""
     wanted: Wanted = AS_SET
     heard_t_s: dict[str, float] = field(default_factory=dict[str, float])
@@ -169,15 +174,33 @@ class Consoles:
         if why := self.select(choice):
             self.report(f"selection by {choice.by} refused: {why}")
             return why
+        self.drawn_t_s, self.proposed_t_s = NEVER, NEVER  # of the target before
+        if self.is_looking():
+            self.tapped_by = choice.by
+        else:
+            self._has_selected(choice.by)
+        return ""
+
+    def decided(self, why: str) -> None:
+        """A tap was looked at: `why` it selects nothing, and the target before stays; empty if its box is taken."""
+        by, self.tapped_by = self.tapped_by, ""
+        if why:
+            self.report(f"selection by {by} refused: {why}")
+            self.tell(f"not selected: {why}")
+        else:
+            self._has_selected(by)
+        self.answer(by, Reply(not why, f"not selected: {why}" if why else "target selected"))
+
+    def _has_selected(self, by: str) -> None:
+        """A person's box is the tracker's new target."""
         self.drawn_t_s, self.proposed_t_s = self.t_s, NEVER
-        self.report(f"target selected by {choice.by}")
+        self.report(f"target selected by {by}")
         self.tell("target selected")
         if self.mode in FLYING:
             self.wanted = Wanted(mode=SPOTLIGHT)
         if self.follows:
-            self.operator.order(Order.FOLLOW, choice.by)
+            self.operator.order(Order.FOLLOW, by)
             self.wanted = AS_SET
-        return ""
 
     def order(self, command: ConsoleCommand, by: str) -> Reply:
         """Give an order of a console; the reply says what became of it."""

@@ -145,7 +145,11 @@ def heard(now: Authority, facts: Facts) -> Authority:
     if now.mode is Mode.ENDED and facts.instruction.reason.cause in PILOTS_STICK:
         # The vehicle may hover in the Hold or BRAKE that we requested, where the pilot's sticks do nothing.
         return replace(now, order=None, release=Release.STICKS, reason=facts.instruction.reason)
-    return now if order is None or order is Order.FOLLOW else replace(now, order=None)
+    if order is None or order is Order.FOLLOW:
+        return now
+    if now.reason.cause is Cause.ORDER_WAITS:  # it does not wait any more
+        return replace(now, order=None, reason=facts.instruction.reason)
+    return replace(now, order=None)
 
 
 def order_verdict(now: Authority, facts: Facts, limits: Limits) -> tuple[bool, Reason | None]:

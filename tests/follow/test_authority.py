@@ -270,6 +270,7 @@ def test_the_flights_of_the_property_test_do_fly():
         ((calm(seen=False),), Mode.OBSERVE, Cause.NOT_READY),
         ((calm(order=Order.FOLLOW, seen=False),), Mode.OBSERVE, Cause.ORDER_WAITS),
         ((calm(order=Order.FOLLOW, seen=False), calm(dt_s=4.0, seen=False)), Mode.OBSERVE, Cause.ORDER_VOID),
+        ((calm(order=Order.FOLLOW, seen=False), calm(seen=False, stick=True)), Mode.OBSERVE, Cause.STICK),
         ((calm(order=Order.FOLLOW, seen=False), calm(mode="POSCTL")), Mode.OBSERVE, Cause.ORDER_VOID),
         ((calm(mode="RTL"), calm(order=Order.FOLLOW)), Mode.OBSERVE, Cause.ORDER_REFUSED),
         ((calm(order=Order.FOLLOW, landed=Landed.UNKNOWN),), Mode.OBSERVE, Cause.ORDER_REFUSED),

@@ -206,3 +206,41 @@ def test_nobody_on_an_open_network_chooses_a_target_unless_allowed_or_orders_fol
     for follows, unsigned in ((False, False), (True, False), (True, True)):
         with pytest.raises(UsageError, match="must not choose the target or order FOLLOW"):
             check(replace(command, ground="udpin:0.0.0.0:5", ground_follows=follows, ground_unsigned=unsigned))
+
+
+@pytest.mark.parametrize("follows", [False, True])
+def test_a_tap_that_finds_nothing_flies_to_nothing(follows):
+    desk = Desk(follows=follows)
+    desk.draw()
+    desk.ordered()
+    desk.at(1.0 + DRAWN_S + 1.0, Mode.READY)
+    desk.consoles.is_looking = lambda: True
+    assert desk.draw() == ""
+    assert desk.ordered() == [], "nobody knows yet what is there"
+    desk.consoles.decided("nothing stands out there: draw a box")
+    assert desk.ordered() == []
+    reply = desk.order("follow")
+    assert not reply.done, "the target of long ago is not what the person tapped now"
+    assert "CONFIRM" in reply.words
+
+
+def test_a_tap_that_finds_something_counts_as_drawn():
+    desk = Desk(follows=True)
+    desk.consoles.is_looking = lambda: True
+    desk.draw()
+    desk.consoles.decided("")
+    assert desk.ordered() == [Order.FOLLOW]
+    desk.at(2.0, Mode.READY)
+    assert desk.order("follow").done
+
+
+def test_a_stop_goes_before_the_orders_that_wait():
+    desk = Desk()
+    desk.draw()
+    desk.at(2.0, Mode.READY)
+    for _ in range(20):
+        desk.order("follow")
+    desk.order("stop", GROUND)
+    order, _by = desk.operator.asked()
+    assert order is Order.OBSERVE
+    assert desk.operator.asked() is None

@@ -13,7 +13,7 @@ from websockets.exceptions import ConnectionClosed
 
 from follow.link.telemetry import LinkObservations
 from follow.messages import Mode, Order
-from follow.operator.consoles import DRAWN_S
+from follow.operator.consoles import DRAWN_S, ConsoleCommand
 from follow.operator.page import windows
 from follow.operator.page.desk import ACTS, FRAMES
 from follow.operator.page.exchange import WAITING_ACTS, WAITING_STOPS, Act, Doing, Exchange, read_act
@@ -140,14 +140,40 @@ def test_a_flood_of_clicks_is_bounded_and_a_stop_after_it_comes_through(rig):
 
 def test_a_round_takes_few_acts_but_every_stop():
     exchange = Exchange()
+    for _ in range(1000):
+        exchange.act(Act("page 2", Doing.CLEAR))
     for n in range(1000):
         exchange.act(Act("page 1", Doing.SELECT, n))
-        exchange.act(Act("page 2", Doing.CLEAR))
     taken = exchange.taken(ACTS)
     assert [act.is_stop for act in taken[:WAITING_STOPS]] == [True] * WAITING_STOPS
     assert len(taken) <= WAITING_STOPS + ACTS
     taken = exchange.taken(ACTS)
     assert [act.frame for act in taken] == list(range(1000 - WAITING_ACTS, 1000 - WAITING_ACTS + ACTS))
+
+
+def test_what_was_done_before_a_stop_does_not_act_after_it(rig):
+    rig.has_target = True
+    rig.round()
+    rig.consoles.drawn_t_s = rig.consoles.t_s
+    for order in (ConsoleCommand.FOLLOW,) * (3 * ACTS):
+        rig.exchange.act(Act("page 1", Doing.ORDER, order=order))
+    rig.exchange.act(Act("page 2", Doing.ORDER, order=ConsoleCommand.STOP))
+    for _ in range(5):
+        rig.round()
+    assert rig.ordered() == [Order.OBSERVE]
+    rig.exchange.act(Act("page 1", Doing.ORDER, order=ConsoleCommand.FOLLOW))
+    rig.round()
+    assert rig.ordered() == [Order.FOLLOW], "an order after it is a new one"
+
+
+def test_a_tap_that_finds_nothing_is_answered_so(rig):
+    with rig.window() as window:
+        window.until(lambda w: w.images)
+        rig.consoles.is_looking = lambda: True
+        window.send(do="select", frame=window.images[-1][0]["frame"], box=[0.4, 0.3, 0.0, 0.0])
+        window.until(lambda _w: rig.chosen)
+        rig.consoles.decided("nothing stands out there")
+        assert window.replied() == [False, "not selected: nothing stands out there"]
 
 
 def test_ten_watchers_see_and_a_slow_one_costs_nobody_but_itself_its_images(rig):

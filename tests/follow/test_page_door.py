@@ -162,6 +162,9 @@ def flights(tmp_path):
     (out.parent / "before" / "secret.txt").write_text("secret")
     (out.parent / "before" / "flight.rrd").symlink_to(tmp_path / "ticks.csv")
     (out.parent / "linked").symlink_to(tmp_path)
+    for odd in ("\udcff", "two\nlines"):  # a byte that is no UTF-8, a line feed
+        (out.parent / odd).mkdir()
+        (out.parent / odd / "ticks.csv").write_text("rows of an odd name")
     with PageRig(out) as page:
         yield page
 

@@ -1,5 +1,8 @@
 """Selecting in flight: a box that was drawn late is on the target, and what nobody could mean is refused in words."""
 
+from concurrent.futures import Future
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -138,6 +141,34 @@ def test_what_nobody_could_mean_is_refused_in_words(selection, why):
         pass
     assert why in selector.choose(selection)
     assert not selector.has_target
+
+
+class Later:
+    """An executor whose work is done when it is told."""
+
+    def submit(self, function, *arguments):
+        self.future, self.work = Future(), partial(function, *arguments)
+        return self.future
+
+    def finish(self):
+        self.future.set_result(self.work())
+
+
+def test_a_box_that_is_drawn_while_a_tap_is_looked_at_stays():
+    recent, follower, later = RecentFrames(Film(60)), Follower(), Later()
+    selector = Selector(follower.init, follower.track, recent, lambda: None, looks=later)
+    heard = []
+    selector.decided = heard.append
+    for _ in recent.frames():
+        pass
+    assert selector.choose(Selection(0.95, 0.95, 0.0, 0.0, 1.6, "a test")) == ""
+    assert selector.is_looking
+    assert selector.choose(Selection(0.1, 0.3, 0.1, 0.1, 1.6, "a test")) == ""
+    later.finish()
+    selector.update(recent.kept[-1].image)
+    assert heard == []
+    assert not selector.is_looking
+    assert selector.has_target
 
 
 def test_before_the_first_image_nothing_can_be_selected():

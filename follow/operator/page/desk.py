@@ -66,6 +66,7 @@ class PageDesk:
         self._status: TrackingStatus | None = None
         self._path_t_s = NEVER
         exchange.is_flying = True
+        consoles.answer = lambda by, reply: exchange.reply(by, reply.words, done=reply.done)
 
     def see(self, tick: Tick) -> None:
         """Take one round."""
@@ -98,7 +99,8 @@ class PageDesk:
         consoles = self._consoles
         if act.doing is Doing.SELECT:
             why = self._select(act)
-            self._exchange.reply(act.by, f"not selected: {why}" if why else "target selected", done=not why)
+            if why or not consoles.is_looking():
+                self._exchange.reply(act.by, f"not selected: {why}" if why else "target selected", done=not why)
         elif act.doing is Doing.CLEAR:
             consoles.choose(Cleared(act.by))
             self._exchange.reply(act.by, "target cleared, stopped", done=True)

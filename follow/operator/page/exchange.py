@@ -159,8 +159,17 @@ class Exchange:
             self.wake()
 
     def act(self, act: Act) -> None:
-        """Queue what a person did; the oldest act is dropped where too many wait."""
-        (self._stops if act.is_stop else self._acts).append(act)
+        """Queue what a person did; the oldest act is dropped where too many wait.
+
+        A STOP voids what waits: an order from before it must not act after it.
+        """
+        if not act.is_stop:
+            self._acts.append(act)
+            return
+        self._stops.append(act)
+        with contextlib.suppress(IndexError):  # the loop takes them meanwhile
+            while True:
+                self.reply(self._acts.popleft().by, "not done: STOP came before it", done=False)
 
     def hear(self, window: str) -> None:
         """A window is open and in front."""

@@ -54,6 +54,8 @@ class FlightShelf:
             if "ticks.csv" not in files:
                 return None
             name = folder.relative_to(self._out.parent).as_posix()
+            if not name.isprintable():  # bytes that are no UTF-8, a line feed: neither JSON nor an address has them
+                return None
             return ShelvedFlight(name, folder, files, (folder / "ticks.csv").stat().st_mtime)
         except OSError:
             return None
