@@ -151,6 +151,24 @@ def test_a_round_takes_few_acts_but_every_stop():
     assert [act.frame for act in taken] == list(range(1000 - WAITING_ACTS, 1000 - WAITING_ACTS + ACTS))
 
 
+def closing_code(window) -> int:
+    """With what a window was closed; 0 if it stays open."""
+    for _ in range(100):
+        try:
+            window.rig.round()
+            window.take(0.02)
+        except ConnectionClosed as closed:
+            return closed.rcvd.code
+    return 0
+
+
+def test_of_two_windows_with_one_number_the_later_one_has_it(rig):
+    with rig.window() as first, rig.window() as second:
+        second.until(lambda w: w.images)
+        assert second.name == "page 1"
+        assert closing_code(first) == 4001
+
+
 def test_what_was_done_before_a_stop_does_not_act_after_it(rig):
     rig.has_target = True
     rig.round()

@@ -35,6 +35,8 @@ ACTS_PER_S, BURST = 10.0, 20.0  # taken from a window; a thumb presses 5 a secon
 MESSAGES_PER_S = 2000  # a window that sends more is closed
 HELLO_S = 5.0
 HEARD_S = 1.0
+CLOSE_S = 0.5  # for a connection that may be dead
+REPLACED = 4001  # tells a window to take a number of its own
 WINDOW = re.compile(r"[0-9a-f]{8,32}")
 
 Closed = (WebSocketDisconnect, RuntimeError, OSError)
@@ -95,6 +97,7 @@ class Windows:
         window = await self._hello(socket)
         if window is None:
             return
+        await self._replace(window.name)
         self._open.add(window)
         sending = asyncio.create_task(self._send(window))
         try:
@@ -104,6 +107,12 @@ class Windows:
             sending.cancel()
             with contextlib.suppress(asyncio.CancelledError, *Closed):
                 await sending
+
+    async def _replace(self, name: str) -> None:
+        """Close what is open under that name: a browser's duplicate of a window has the window's number also."""
+        for other in [window for window in self._open if window.name == name]:
+            with contextlib.suppress(asyncio.TimeoutError, *Closed):
+                await asyncio.wait_for(other.socket.close(REPLACED, "this window was opened again"), CLOSE_S)
 
     def _listen(self) -> None:
         """Let the control loop wake this thread's event loop."""
