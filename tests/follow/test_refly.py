@@ -115,6 +115,7 @@ def test_what_a_power_cut_leaves_behind_the_last_flush_is_left_out(tmp_path):
         (gzip.compress(b'{"version":1,"setup":{}}\n'), "setup cannot be read"),
         (gzip.compress(b"no json\n"), "cannot be read"),
     ],
+    ids=["empty", "plain text", "a list", "another version", "no setup", "no JSON"],
 )
 def test_a_file_that_is_no_recording_is_refused_in_one_line(capfd, tmp_path, content, rule):
     (tmp_path / "messages.jsonl.gz").write_bytes(content)

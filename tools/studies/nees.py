@@ -186,15 +186,19 @@ def main() -> None:
     ]
     flights = [result for _, result in each(nees, kinds)]
     flights.sort(key=lambda flight: kinds.index(flight[0]))
+    seen = [flight for flight in flights if np.isfinite(flight[1][:, 1]).any()]
     for (rules, speed, slope, seed), rows, figures in flights:
+        nees_word = (
+            f"{np.nanmean(rows[:, 1]):.2f}" if np.isfinite(rows[:, 1]).any() else "none, the target was not seen"
+        )
         print(
-            f"{rules} {speed} m/s {100 * slope:+.0f} % seed {seed}: NEES {np.nanmean(rows[:, 1]):.2f}, "
+            f"{rules} {speed} m/s {100 * slope:+.0f} % seed {seed}: NEES {nees_word}, "
             f"nearest {figures['nearest_m']:.1f} m, stand-off {100 * figures['standoff']:.1f} %"
         )
-    low, high = chi2.ppf((0.025, 0.975), STATES * len(flights)) / len(flights)
-    mean = np.mean([np.nanmean(rows[:, 1]) for _, rows, _ in flights])
-    print(f"all {len(flights)}: NEES {mean:.2f}, 95 % band {low:.2f} to {high:.2f}")
-    draw(flights, chosen.out)
+    low, high = chi2.ppf((0.025, 0.975), STATES * len(seen)) / len(seen)
+    mean = np.mean([np.nanmean(rows[:, 1]) for _, rows, _ in seen])
+    print(f"{len(seen)} of {len(flights)}: NEES {mean:.2f}, 95 % band {low:.2f} to {high:.2f}")
+    draw(seen, chosen.out)
 
 
 if __name__ == "__main__":
