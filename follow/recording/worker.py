@@ -78,6 +78,7 @@ class Worker(Generic[SinkT]):
         return self._ended or (len(self._light) < LIGHT and len(self._heavy) < self._most_heavy)
 
     def _run(self) -> None:
+        word = ""
         try:
             sink = self._make()
             while (acts := self._next()) is not None:
@@ -85,18 +86,24 @@ class Worker(Generic[SinkT]):
                     act(sink)
             sink.close()
         except OSError as error:
-            self._report(str(error))
+            word = str(error)
         except Exception as error:  # noqa: BLE001 - whatever it was, the flight goes on and the run counts as failed
-            self.failure = f"{self.name} ended by an error: {type(error).__name__}: {' '.join(str(error).split())}"
-            self._report(self.failure)
+            word = self.failure = (
+                f"{self.name} ended by an error: {type(error).__name__}: {' '.join(str(error).split())}"
+            )
         finally:
-            with self._change:
-                self._ended = True
-                self.lost += len(self._light)
-                self.dropped += len(self._heavy)
-                self._light.clear()
-                self._heavy.clear()
-                self._change.notify_all()
+            self._end()
+        if word:
+            self._report(word)  # after the end: what is reported is put into this worker, too, and must not wait for it
+
+    def _end(self) -> None:
+        with self._change:
+            self._ended = True
+            self.lost += len(self._light)
+            self.dropped += len(self._heavy)
+            self._light.clear()
+            self._heavy.clear()
+            self._change.notify_all()
 
     def _next(self) -> "list[Callable[[SinkT], None]] | None":
         """Everything light and one heavy entry, once there is something; None when nothing more will come."""

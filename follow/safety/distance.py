@@ -42,7 +42,8 @@ class Worst:
     """The target at its nearest: NED angle of the line of sight, range along the ground and height above its head, m.
 
     `approach_m_s` is the target's own speed towards the vehicle.  `spare_m` is the height by the estimate itself above
-    that which `sprint_above_m` needs.
+    that which `sprint_above_m` needs.  `drift_down_m_s` is how much faster the vehicle's reported position sinks than
+    its reported velocity says.
     """
 
     sight_rad: float
@@ -50,6 +51,7 @@ class Worst:
     above_m: float
     approach_m_s: float
     spare_m: float = math.inf
+    drift_down_m_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +86,8 @@ def worst(estimate: Estimate, state: VehicleState, limits: Limits) -> Worst:
     sight = state.yaw_rad + estimate.azimuth_rad
     away, _ = ned_to_heading(estimate.north_m_s, estimate.east_m_s, sight)
     spare = estimate.ground_below_m - top - sprint_above_m(estimate.range_m, limits)
-    return Worst(sight, max(near, 0.0), max(below - top, 0.0), -away, spare)
+    drift = estimate.drift_down_m_s if math.isfinite(estimate.drift_down_m_s) else 0.0
+    return Worst(sight, max(near, 0.0), max(below - top, 0.0), -away, spare, drift)
 
 
 def worst_other(other: OtherSighting | None, state: VehicleState) -> Worst | None:

@@ -1,10 +1,10 @@
 """After a loss only somebody who stands where the target can be is taken for it, and the target itself is found again.
 
 The law is geometry, without the filter: a target that goes at v is, after t seconds, somewhere between where it was
-seen last and v t ahead.  Who stands at least 6 m and a tenth of its distance from the camera (a box tells the range to
-about 9 %) beside all of that is somebody else; so is who stood that far ahead of it when first seen.  6 m is the radius
-of the area in which one other person who looks alike is to be expected in one of ten losses, `regain_area_m2`.
-The settings were chosen with the CHOSEN cases; the others were only looked at afterwards.
+seen last and v t ahead.  Who stands at least 6 m and one standard deviation of its distance from the camera (a box
+tells the range to about 12 %) beside all of that is somebody else; so is who stood that far ahead of it when first
+seen.  6 m is the radius of the area in which one other person who looks alike is to be expected in one of ten losses,
+`regain_area_m2`.  The settings were chosen with the CHOSEN cases; the others were only looked at afterwards.
 """
 
 import math
@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from follow.control.regain import NOT_TAKEN, distance_to_segment
-from follow.control.target import Target
+from follow.control.target import Target, TargetConfig
 from follow.messages import HOVER, Decision, Mode, Tick
 from follow.operator.mode_changes import ModeChanges
 from follow.operator.told import PilotTexts
@@ -23,6 +23,7 @@ from tests.follow.test_target import CAMERA, DOWN, DT, box_of, hovering, seen, w
 SEEN_S = 3.0
 KNOWN_S = 12.0  # an unseen target is expected to go on for no longer than this: 6 s, then slower
 WATCHED_S = 6.0
+RANGE_STD = math.hypot(TargetConfig().motion.size_bias_std, TargetConfig().box_relative_std)  # of a range by one box
 CHOSEN = [
     (lost_s, 3.0, place)
     for lost_s in (2.0, 6.0, 12.0, 18.0)
@@ -70,7 +71,7 @@ STAMPS = ("t_s", "attitude_t_s", "position_t_s", "heartbeat_t_s")
 def cannot_be(place, speed, lost_s):
     """Whether somebody who stands at a place cannot be the target that long after the loss."""
     aside = distance_to_segment(*map(np.array, (place, (0.0, 0.0), (speed * lost_s, 0.0))))
-    return aside >= 6.0 + math.hypot(place[0] + 12.0, place[1]) / 10
+    return aside >= 6.0 + RANGE_STD * math.hypot(place[0] + 12.0, place[1])
 
 
 @cases
@@ -132,7 +133,7 @@ def test_whoever_is_found_while_the_target_is_lost_is_told_as_a_place_for_a_seco
     other = watcher.target.estimate(state).other
     assert other is not None
     range_m = math.hypot(place[0] + 12.0, place[1])
-    assert 0.75 * range_m < other.range_m < range_m
+    assert (1 - 3 * RANGE_STD) * range_m < other.range_m < range_m
     assert other.azimuth_rad == pytest.approx(0.0, abs=0.02)
     assert other.below_m == pytest.approx(7.4, abs=0.8)
     assert watcher.target.estimate(replace(state, t_s=state.t_s + 1.5)).other is None

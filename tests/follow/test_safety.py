@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from follow.messages import HOVER, NEVER, Estimate, Landed, Mode, Order, Setpoint, VehicleState
 from follow.safety.distance import Worst, approach_speed
-from follow.safety.envelope import HELD, in_view, limit_to_fence
+from follow.safety.envelope import HELD, in_view, limit_altitude, limit_to_fence
 from follow.safety.gate import Gate, Limits, Safety, decide, present_velocity
 from follow.safety.ramps import VelocityRamp, YawRateRamp
 from tests.support.gate_rig import DT, LIMITS, engaged, fly, flying, seen
@@ -383,3 +383,16 @@ def test_a_note_says_which_speed_limit_acts():
     assert decision.mode is Mode.COAST
     assert HELD["unseen"] in decision.notes
     assert HELD["speed"] not in decision.notes
+
+
+@given(st.floats(-0.5, 0.5), st.floats(0, 200))
+def test_no_drift_carries_the_vehicle_over_the_altitude_band(drift, height_m):
+    """At floor and ceiling what is allowed and the drift together stay within what is allowed without a drift."""
+    state = flying(1.0, down_m=-height_m)
+    still, drifting = (Worst(0.0, 12.0, 0.0, 0.0, drift_down_m_s=d) for d in (0.0, drift))
+    fastest_up = -limit_altitude(-9.0, still, state, LIMITS)
+    fastest_down = limit_altitude(9.0, still, state, LIMITS)
+    if height_m >= LIMITS.ceiling_m:
+        assert limit_altitude(-9.0, drifting, state, LIMITS) + min(drift, 0.0) >= -fastest_up - 1e-9
+    if height_m <= LIMITS.floor_m:
+        assert limit_altitude(9.0, drifting, state, LIMITS) + max(drift, 0.0) <= fastest_down + 1e-9
