@@ -94,7 +94,7 @@ class Worker(Generic[SinkT]):
         finally:
             self._end()
         if word:
-            self._report(word)  # after the end: what is reported is put into this worker, too, and must not wait for it
+            self._report(word)  # after the end: the report is put into this worker as well, and must not wait for it
 
     def _end(self) -> None:
         with self._change:
