@@ -19,7 +19,7 @@ class Full:
 
 
 def test_the_report_of_a_full_disk_may_be_put_into_the_worker_that_ended():
-    """A replay waits for room in the lanes, and its messages are recorded as well: the worker must not wait for itself."""
+    """A replay waits for room in the lanes, and its messages are recorded as well: no worker may wait for itself."""
     began, full, said = threading.Event(), threading.Event(), []
 
     def report(text):
