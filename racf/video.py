@@ -112,7 +112,7 @@ class Video:
             self._decoded = _Decoded(self._container, self._stream, self.missing, self.scale)
             self._images = self._numbered()
             self._first = next(self._images, None)
-        except BaseException:
+        except BaseException:  # also Ctrl-C: the file is closed, and the error goes on
             self._container.close()
             raise
         if self._first is None:

@@ -13,15 +13,8 @@ from racf.box import Box
 
 UInt8 = NDArray[np.uint8]
 
-SIDES = (
-    0.06,
-    0.09,
-    0.13,
-    0.18,
-    0.26,
-    0.37,
-    0.52,
-)  # sides of the windows, in image heights: targets of 6 to 130 px in 360
+SIDES = (0.06, 0.09, 0.13, 0.18, 0.26, 0.37, 0.52)
+"""Sides of the windows, in image heights: targets of 6 to 130 pixels in 360 rows."""
 SQUARE_PX = 64  # GrabCut sees each window at this size: 8 ms
 SURE = 0.10  # radius in windows within which everything is target
 FRAME = 0.08  # width in windows of the border in which everything is surroundings

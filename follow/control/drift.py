@@ -41,10 +41,12 @@ class Drift:
     _p: tuple[float, float, float] = (0.0, 0.0, 0.0)  # variance of p, covariance, variance of b
 
     def update(self, state: VehicleState) -> None:
-        """Take in a state with a newer position."""
+        """Take in a state with a newer position; one that is not finite says nothing."""
         t_s = state.position_t_s
         place = np.array([state.north_m, state.east_m, state.down_m])
         reported = np.array([state.north_m_s, state.east_m_s, state.down_m_s])
+        if not np.isfinite([*place, *reported]).all():
+            return
         dt = t_s - self._t_s
         mean_velocity, self._t_s, self._reported = (self._reported + reported) / 2, t_s, reported
         if not 0 < dt <= GAP_S:

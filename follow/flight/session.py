@@ -88,7 +88,7 @@ def fly(ticks: Iterable[Tick], recorder: Recorder, report: Notify, truth: Callab
             recorder.tick(tick, truth(tick))
             changes.see(tick)
     except KeyboardInterrupt:
-        report("stopped by Ctrl-C: everything up to here is recorded")
+        report("stopped: everything up to here is recorded")
         finished = False
     if line := changes.early_end():
         report(line)

@@ -83,7 +83,8 @@ class Summary:
         if tick.track is not None:
             self._frames += 1
             self._found = tick.track.found
-            self._tracker_ms.append(tick.stage_ms.get("tracker", 0.0))
+            if "tracker" in tick.stage_ms:
+                self._tracker_ms.append(tick.stage_ms["tracker"])
 
     @property
     def seconds(self) -> float:

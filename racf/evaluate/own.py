@@ -49,7 +49,7 @@ class OwnTracker:
         self._frame = 0
         try:
             self._tracker.init(image, box)
-        except Exception as error:
+        except Exception as error:  # whatever your `init` raises
             raise self._failed("init", error) from error
         self._box = box
         return self._track(found=True)
@@ -62,7 +62,7 @@ class OwnTracker:
         self._frame += 1
         try:
             answer = self._tracker.update(image)
-        except Exception as error:
+        except Exception as error:  # whatever your `update` raises
             raise self._failed("update", error) from error
         if isinstance(answer, Track):
             self._box = answer.box
@@ -108,7 +108,7 @@ class OwnSpec:
         """A fresh tracker; raises ValueError if the class does not give one."""
         try:
             made = self.factory()
-        except Exception as error:
+        except Exception as error:  # whatever your class raises while it is built
             raise ValueError(f"tracker {self.label} cannot be built: {said(error)}") from error
         return OwnTracker(made, self.label)
 

@@ -69,3 +69,13 @@ def test_a_vehicle_that_flies_by_a_wrong_velocity_keeps_stand_off_and_height_as_
     assert px4.standoff_rms() < ardupilot.standoff_rms() + 0.01
     heights = px4.heights()[len(px4.truths) // 3 :]
     assert np.std(heights) < 0.2
+
+
+def test_a_state_that_is_not_finite_says_nothing():
+    """A link of one's own may pass anything on; one such state must not spoil all that comes after."""
+    drift = Drift()
+    for n in range(90):
+        t_s = n / RATE_HZ
+        number = {30: math.nan, 45: math.inf}.get(n, 0.2 * t_s)
+        drift.update(VehicleState(t_s, t_s, 0, 0, 0, 0, t_s, 0.2 * t_s, 0.0, number, 0.0, 0.0, 0.0))
+    assert drift.velocity == pytest.approx((0.2, 0.0, 0.2), abs=0.03)

@@ -137,7 +137,9 @@ def test_a_simulated_flight_flown_again_is_equal_to_the_last_bit_and_others_are_
     assert follow(capfd, "sim", brief, "--out", first)[0] == 0
     status, out, err = follow(capfd, "refly", first, "--out", again, "--json")
     assert status == 0, err
-    assert json.loads(out)["refly_differs"] == 0
+    figures = json.loads(out)
+    assert figures["refly_differs"] == 0
+    assert not {"fps_tracker", "tracker_ms"} & figures.keys()  # no tracker ran
     assert "is equal to the last bit" in err
     assert (again / "ticks.csv").read_bytes() == (first / "ticks.csv").read_bytes()
     status, out, err = follow(capfd, "refly", first, "--out", other, "--json", "--servo.standoff-m", "14")

@@ -54,7 +54,7 @@ def test_ctrl_c_in_a_flight_is_said_once(capfd, brief, tmp_path, monkeypatch):
     monkeypatch.setattr("sim.camera.SceneCamera.frames", lambda camera: (stopped(camera) for _ in range(1)))
     status, err = follow(capfd, "sim", brief, "--record.no-pictures", "--out", tmp_path / "out")
     assert status == 1
-    assert "stopped by Ctrl-C: everything up to here is recorded" in err
+    assert "stopped: everything up to here is recorded" in err
     assert "error" not in err
 
 

@@ -12,6 +12,7 @@ from tests.support.ground_wire import Scripted
 from tests.support.real_flight import free_ports
 
 REDRAWN_S = 5.0  # the station that commands draws its box again this often, or the clicks would get the command
+COMMANDS_S = 1.0  # from its first box to the first click of the other one: who selects first commands
 
 
 class GroundLoad:
@@ -21,7 +22,7 @@ class GroundLoad:
         self.ground_port, self.video_port = free_ports(2)
         self.clicks_hz = clicks_hz
         self.received = self.clicked = self.boxes = 0
-        self.ending = threading.Event()
+        self.ending, self.drawn = threading.Event(), threading.Event()
 
     @property
     def options(self) -> list[str]:
@@ -38,6 +39,7 @@ class GroundLoad:
                 thread = threading.Thread(target=run, daemon=True)
                 thread.start()
                 stack.callback(thread.join)
+            stack.callback(self.drawn.set)
             stack.callback(self.ending.set)
             yield
 
@@ -51,6 +53,9 @@ class GroundLoad:
 
     def _click(self) -> None:
         mav = dialect.MAVLink(None, srcSystem=42, srcComponent=190)
+        self.drawn.wait()
+        if self.ending.wait(COMMANDS_S):
+            return
         began = time.monotonic()
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as mouth:
             while self.clicks_hz and not self.ending.wait(0.01):
@@ -61,9 +66,8 @@ class GroundLoad:
                     self.clicked += 1
 
     def _redraw(self, station) -> None:
-        while True:
+        while not self.ending.wait(REDRAWN_S if self.drawn.is_set() else 0.1):
             self.boxes = station.boxes
-            if self.ending.wait(REDRAWN_S):
-                return
             if station.station.boxes:
                 station.station.drag(time.monotonic(), *station.station.boxes[-1])
+                self.drawn.set()
