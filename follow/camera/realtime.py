@@ -3,23 +3,23 @@
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from types import TracebackType
 
 import numpy as np
 from numpy.typing import NDArray
-from typing_extensions import Self
 
 from follow.camera import Camera
+from follow.camera.filter import CameraFilter
 from follow.camera.video import ReplayCamera
 from follow.messages import Frame
 
 COARSE = 16  # every 16th row and column tells most frames apart in microseconds
 
 
-class RealTime:
+class RealTime(CameraFilter[ReplayCamera]):
     """A replayed camera in real time: each frame comes when it is due, and bears the time at which it came."""
 
     def __init__(self, footage: ReplayCamera, clock: Callable[[], float] = time.monotonic) -> None:
+        super().__init__(footage)
         self.footage = footage
         self._clock = clock
 
@@ -43,26 +43,14 @@ class RealTime:
             time.sleep(max(-late_s, 0.0))
             yield frame and replace(frame, t_s=self._clock())
 
-    def __enter__(self) -> Self:
-        self.footage.__enter__()
-        return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.footage.__exit__(kind, error, trace)
-
-
-class NewPictures:
+class NewPictures(CameraFilter[Camera]):
     """Drops frames that repeat the one before.
 
     A camera, driver or encoder that froze may go on delivering its last frame with fresh times, and a vehicle that
     turns with a target which no longer moves in the frame would turn for ever.  A living sensor's noise never gives
     the same bytes twice.
     """
-
-    def __init__(self, camera: Camera) -> None:
-        self._camera = camera
 
     def frames(self) -> Iterator[Frame | None]:
         """Yield what the camera yields, but None for a frame that equals the one before."""
@@ -73,15 +61,6 @@ class NewPictures:
                 continue
             last = frame.image
             yield frame
-
-    def __enter__(self) -> Self:
-        self._camera.__enter__()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._camera.__exit__(kind, error, trace)
 
 
 def is_same(image: NDArray[np.uint8], other: NDArray[np.uint8]) -> bool:

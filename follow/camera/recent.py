@@ -2,10 +2,8 @@
 
 from collections import deque
 from collections.abc import Iterator
-from types import TracebackType
 
-from typing_extensions import Self
-
+from follow.camera.filter import CameraFilter
 from follow.camera.seam import Camera
 from follow.messages import Frame
 
@@ -13,11 +11,11 @@ RECENT_S = 2.0  # as late as a person's box may come: reaction, drawing, video a
 RECENT_BYTES = 256_000_000  # two seconds of 1280x720 at 30 Hz are 166 MB
 
 
-class RecentFrames:
+class RecentFrames(CameraFilter[Camera]):
     """A camera that keeps its last frames: at most RECENT_S and RECENT_BYTES of them, the newest always."""
 
     def __init__(self, camera: Camera, seconds: float = RECENT_S, most_bytes: int = RECENT_BYTES) -> None:
-        self._camera = camera
+        super().__init__(camera)
         self._seconds, self._most_bytes = seconds, most_bytes
         self._kept: deque[Frame] = deque()
         self._bytes = 0
@@ -39,12 +37,3 @@ class RecentFrames:
         self._bytes += frame.image.nbytes
         while len(self._kept) > 1 and (frame.t_s - self._kept[0].t_s > self._seconds or self._bytes > self._most_bytes):
             self._bytes -= self._kept.popleft().image.nbytes
-
-    def __enter__(self) -> Self:
-        self._camera.__enter__()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._camera.__exit__(kind, error, trace)

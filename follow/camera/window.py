@@ -3,19 +3,18 @@
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from types import TracebackType
 
 import numpy as np
 from numpy.typing import NDArray
-from typing_extensions import Self
 
 from follow.camera import Camera
+from follow.camera.filter import CameraFilter
 from follow.geometry import Intrinsics
 from follow.messages import Frame, VehicleState
 from racf.box import Box
 
 
-class WindowCamera:
+class WindowCamera(CameraFilter[Camera]):
     """A window of another camera's frames, turned by the vehicle's yaw and shifted by its height.
 
     `full` describes the footage's camera; the window has its focal length and shows `window` pixels around
@@ -32,7 +31,8 @@ class WindowCamera:
         start: tuple[float, float],
         range_m: float,
     ) -> None:
-        self._camera, self._state, self._full = camera, state, full
+        super().__init__(camera)
+        self._state, self._full = state, full
         self._size, self._start, self._range_m = window, start, range_m
         begin = state()
         self._yaw_rad, self._down_m = begin.yaw_rad, begin.down_m
@@ -59,15 +59,6 @@ class WindowCamera:
         y = self._start[1] + self._full.fy * dip
         w, h = self._size
         return Box(round(x - w / 2), round(y - h / 2), w, h)
-
-    def __enter__(self) -> Self:
-        self._camera.__enter__()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._camera.__exit__(kind, error, trace)
 
 
 def cut(image: NDArray[np.uint8], window: Box) -> NDArray[np.uint8]:

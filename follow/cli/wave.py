@@ -3,11 +3,9 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from types import TracebackType
-
-from typing_extensions import Self
 
 from follow.camera import Camera, CameraError
+from follow.camera.filter import CameraFilter
 from follow.camera.live import LiveVideo
 from follow.camera.names import is_live
 from follow.cli.commands import DoctorCommand, lens_of
@@ -94,22 +92,10 @@ def opened(command: DoctorCommand, link: Link, terminal: Terminal, drawn: Camera
     return LiveVideo(command.camera, terminal.report)
 
 
-class AsTheyCome:
+class AsTheyCome(CameraFilter[SceneCamera]):
     """A drawn scene's camera as a device: its frames bear the time at which they come, not that of their exposure."""
-
-    def __init__(self, camera: SceneCamera) -> None:
-        self._camera = camera
 
     def frames(self) -> Iterator[Frame | None]:
         """Yield what the camera yields, stamped later by its delay."""
         for frame in self._camera.frames():
             yield None if frame is None else replace(frame, t_s=frame.t_s + self._camera.settings.latency_s)
-
-    def __enter__(self) -> Self:
-        self._camera.__enter__()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._camera.__exit__(kind, error, trace)
