@@ -8,6 +8,7 @@ import socket
 import threading
 import time
 from dataclasses import replace
+from functools import cache
 
 from follow.messages import Autopilot
 from sim.camera import SceneCamera
@@ -162,12 +163,18 @@ class Standing:
         return self.place
 
 
-def walkers_box(rules, since_s):
-    """Where the walker appears in shares of the image, seen from the scenario's start, with a person's margin."""
+@cache
+def standing_camera(rules):
+    """The walker's scene as seen from its start; building it takes most of a second."""
     scenario = SCENARIOS["walker"]
     world = scenario.world(0)
     place = scenario.start(world, 0)
-    camera = SceneCamera(world, Standing(place), scenario.camera_settings(Autopilot(rules)))
+    return SceneCamera(world, Standing(place), scenario.camera_settings(Autopilot(rules))), place
+
+
+def walkers_box(rules, since_s):
+    """Where the walker appears in shares of the image, seen from the scenario's start, with a person's margin."""
+    camera, place = standing_camera(rules)
     _, seen = camera._draw(replace(place, t_s=since_s), since_s, 0)
     box = seen[0].box.scaled(1.15)
     return box.x / 640, box.y / 360, (box.x + box.w) / 640, (box.y + box.h) / 360

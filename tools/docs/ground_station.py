@@ -33,6 +33,8 @@ FLIGHTS = {
     "MAVSDK, directly, ArduPilot": ("ardupilot", MAVSDK, True),
 }
 TOLD = re.compile(r"selected by|commands|ordered|: (observe|ready|engage|follow|coast|search|hold|brake|ended)\b|mode ")
+SHOWN_S = 0.3  # age of the image in which the person draws, as --ground-delay-s has it
+LOST_S = 2.0  # a flight off its target for longer did not follow it
 NUMBERS = re.compile(r"-?\d+\.\d+")
 
 Log = list[tuple[float, str]]
@@ -52,9 +54,10 @@ def fly(rules: str, variant: str, direct: bool, seconds: float, out: Path) -> li
     options = ["--ground", ground, "--ground-follows", "--video-out", "rtp://127.0.0.1:5600"]
     with real_flight(rules, out, options=options, begins="observe") as real:
         begun_s = time.monotonic()
+        walkers_box(rules, 0.0)  # builds the scene, so that the box below is not late
         with station_of(variant, port if direct else None, real) as station:
             drawn_s = time.monotonic()
-            station.draw(walkers_box(rules, drawn_s - begun_s - 0.3))
+            station.draw(walkers_box(rules, drawn_s - begun_s - SHOWN_S))
             real.application.wait_until_said(": follow", 20.0)
             boxes = station.boxes
             time.sleep(seconds)
@@ -86,6 +89,7 @@ def shortened(log: Log) -> Iterator[str]:
 def flown(out: Path) -> str:
     """How well it followed: from the flight's own figures and rows."""
     summary = json.loads((out / "summary.json").read_text())
+    assert summary["off_target_s"] < LOST_S, f"it followed something else: {summary}"
     with (out / "ticks.csv").open() as file:
         sent = sum(bool(row["setpoint_forward_m_s"]) for row in csv.DictReader(file))
     figures = ", ".join(f"{name} {summary[name]:.3g}" for name in ("in_view", "centring_rms", "nearest_m"))
