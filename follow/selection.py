@@ -3,6 +3,7 @@
 Boxes are in shares of the image, 0 to 1 from its top-left corner, because a console shows it at another size.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
@@ -82,3 +83,15 @@ class Wanted:
 
 
 AS_SET = Wanted()
+
+
+@dataclass(frozen=True, slots=True)
+class KeptStandoff:
+    """The stand-off that the servo keeps, metres (NaN: none), and why it is larger than a person wants it."""
+
+    standoff_m: float
+    why: str = ""
+
+
+NOT_KEPT = KeptStandoff(math.nan)
+ANY_STANDOFF = KeptStandoff(0.0)

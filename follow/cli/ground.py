@@ -2,11 +2,13 @@
 
 import contextlib
 import math
+import os
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
 
 from follow.cli.commands import RunCommand
 from follow.geometry import Intrinsics
+from follow.link import LinkError
 from follow.link.connection import MavlinkLink
 from follow.link.transports import Reach, open_transport, parse_address, reach_of
 from follow.messages import Notify, Tick
@@ -25,6 +27,11 @@ def check_ground(command: RunCommand) -> None:
     """Raise UsageError or LinkError for options of the ground station that cannot be."""
     if command.ground not in (None, LINK):
         parse_address(command.ground)
+        if is_same_place(command.link.removeprefix("mavsdk+").replace("://", ":"), command.ground):
+            raise UsageError(
+                f"--ground {command.ground} and --link {command.link} are one place, and only one of them can have it: "
+                "give --ground another port, or --ground link for a ground station behind the autopilot"
+            )
         host = command.ground.partition(":")[2].rpartition(":")[0]
         is_open = command.ground.startswith("udp") and reach_of(host) is Reach.NETWORK
         if is_open and command.signing_key is None and (command.ground_follows or not command.ground_unsigned):
@@ -33,6 +40,20 @@ def check_ground(command: RunCommand) -> None:
                 "FOLLOW: give --signing-key (or --ground-unsigned, which allows the choice but not --ground-follows)"
             )
     video_address(command)
+
+
+def is_same_place(link: str, ground: str) -> bool:
+    """Whether two addresses, the first perhaps in MAVSDK's notation, cannot both be opened: a port or a device."""
+    try:
+        (kind, name, number), (other_kind, other_name, other) = parse_address(link), parse_address(ground)
+    except LinkError:  # the link's notation is MAVSDK's own; it says so itself
+        return False
+    if kind != other_kind:
+        return False
+    if kind == "serial":
+        return os.path.realpath(name) == os.path.realpath(other_name)
+    hosts = {"127.0.0.1" if host == "localhost" else host for host in (name, other_name)}
+    return number == other and (len(hosts) == 1 or (kind == "udpin" and "0.0.0.0" in hosts))
 
 
 def video_address(command: RunCommand) -> VideoAddress | None:

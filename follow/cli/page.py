@@ -2,12 +2,12 @@
 
 import contextlib
 from collections.abc import Callable, Generator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 
 from follow.control.selector import Selector
-from follow.control.servo import ServoConfig
+from follow.control.servo import Servo
 from follow.messages import Notify
 from follow.operator.authority import Operator
 from follow.operator.consoles import Consoles
@@ -15,6 +15,8 @@ from follow.operator.page.desk import PageDesk
 from follow.operator.page.door import PageAddress, new_token, parse_page_address, read_token
 from follow.operator.page.exchange import Exchange
 from follow.operator.terminal import Terminal
+from follow.safety.limits import Limits
+from follow.selection import KeptStandoff
 from racf.commandline import UsageError
 
 NEEDS = ("starlette", "uvicorn", "websockets")
@@ -56,7 +58,12 @@ def open_page(
         terminal.listeners.append(exchange.say)
         shown = "" if token_file is not None else options.token  # a token of a file stays in its file
         rest = f" with ?token= and what {token_file} holds" if token_file is not None else ""
-        terminal.report(f"page: {options.address.url(shown)}{rest}")
+        urls = options.address.urls(shown)
+        for url in urls:
+            terminal.report(f"page: {url}{rest}")
+        if not urls:
+            there = replace(options.address, host="ADDRESS").urls(shown)[0]
+            terminal.report(f"page: {there}{rest}, with this machine's ADDRESS once it is in a network")
         yield exchange
 
 
@@ -78,9 +85,18 @@ def desk_of(
 
 
 def consoles_of(
-    operator: Operator, tracker: Selector, report: Notify, servo: ServoConfig, *, follows: bool = False
+    operator: Operator, tracker: Selector, report: Notify, servo: Servo, limits: Limits, *, follows: bool = False
 ) -> Consoles:
     """The consoles of a flight."""
-    consoles = Consoles(operator, tracker.choose, report, servo.standoff_m, follows, set_mode=servo.mode.value)
+    config = servo.settings
+    consoles = Consoles(operator, tracker.choose, report, config.standoff_m, follows, set_mode=config.mode.value)
+    consoles.nearest, consoles.kept = nearest(servo, limits), lambda: servo.kept
     consoles.is_looking, tracker.decided = lambda: tracker.is_looking, consoles.decided
     return consoles
+
+
+def nearest(servo: Servo, limits: Limits) -> KeptStandoff:
+    """The least stand-off to which a person may trim, and what forbids a lesser one."""
+    by_image = KeptStandoff(servo.nearest_m(), "nearer, its feet leave the image")
+    by_limit = KeptStandoff(limits.min_standoff_m, f"limits.min_standoff_m {limits.min_standoff_m:g}")
+    return max(by_image, by_limit, key=lambda kept: kept.standoff_m)

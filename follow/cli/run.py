@@ -30,6 +30,7 @@ from follow.cli.sim import Referee, believed_camera, scene_camera
 from follow.config import CameraConfig, Config, resolve
 from follow.control.detector import Detector
 from follow.control.image_motion import ImageMotionMeter
+from follow.control.reach import why_out_of_reach
 from follow.control.selector import Selector
 from follow.control.servo import Servo
 from follow.control.target import Target
@@ -327,10 +328,11 @@ def fly_prepared(
         snap = {} if command.detector is None else {"snap": Detector(command.detector).snap}
         tracker = Selector(*flight.tracker, recent, operator.retarget, seen.target, looks, **snap)
         operator.forget = target.forget
+        tracker.out_of_reach = partial(why_out_of_reach, target)
         if command.aim:
             operator.aim = tracker.restart
         sees: list[Callable[[Tick], object]] = [lambda tick: recorder.tick(tick, seen.truth(tick))]
-        consoles = consoles_of(operator, tracker, report, seen.config.servo, follows=command.ground_follows)
+        consoles = consoles_of(operator, tracker, report, servo, seen.config.limits, follows=command.ground_follows)
         if command.ground is not None or exchange is not None or command.stick_trims is not None:
             operator.wanted = lambda: consoles.wanted
             sees.append(consoles.see)

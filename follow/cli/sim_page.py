@@ -12,6 +12,7 @@ from follow.cli.settings import as_toml
 from follow.cli.sim import FlightSpec, Referee, believed_camera, scene_camera
 from follow.config import resolve
 from follow.control.image_motion import ImageMotionMeter
+from follow.control.reach import why_out_of_reach
 from follow.control.selector import Selector
 from follow.control.servo import Servo
 from follow.control.target import Target
@@ -71,7 +72,9 @@ def fly_in_real_time(flight: FlightSpec, exchange: Exchange, terminal: Terminal)
         terminal.listeners.append(recorder.message)
         tracker = Selector(*tracker_parts, recent, operator.retarget, None, looks)
         operator.forget = target.forget
-        consoles = consoles_of(operator, tracker, terminal.report, config.servo)
+        tracker.out_of_reach = partial(why_out_of_reach, target)
+        servo, safety = Servo(down_rad, config.servo), Safety(config.limits)
+        consoles = consoles_of(operator, tracker, terminal.report, servo, config.limits)
         operator.wanted = lambda: consoles.wanted
         with recent as frames, link, desk_of(exchange, consoles, flight.out) as desk:
 
@@ -84,7 +87,6 @@ def fly_in_real_time(flight: FlightSpec, exchange: Exchange, terminal: Terminal)
                 time.sleep(ROUND_S)
                 link.advance(ROUND_S)
 
-            servo, safety = Servo(down_rad, config.servo), Safety(config.limits)
             meter = ImageMotionMeter(lens, down_rad)
             fly(Parts(frames, link, tracker, target, servo, safety, meter), operator, see, pause=pause)
         terminal.listeners.remove(recorder.message)

@@ -72,6 +72,7 @@ class Selector:
         self._first = self._box_at_start = box
         self._looks, self._snap = looks, snap
         self.decided: Callable[[str], object] = lambda _why: None
+        self.out_of_reach: Callable[[Box, float], str] = lambda _box, _t_s: ""
         self._looking: tuple[Future[Box | str], Frame] | None = None
         self._start: Start | None = None
         self._done_t_s: float | None = None  # time of the last frame that was tracked while behind; None: not behind
@@ -99,11 +100,12 @@ class Selector:
         if choice.is_point and self._looks is not None:
             self._looking = self._looks.submit(meant, choice, frame.image, self._snap), frame
             return ""
-        return self._take(meant(choice, frame.image, self._snap), frame)
+        return self._take(meant(choice, frame.image, self._snap), frame, is_tap=choice.is_point)
 
-    def _take(self, box: Box | str, frame: Frame) -> str:
-        if isinstance(box, str):
-            return box
+    def _take(self, box: Box | str, frame: Frame, *, is_tap: bool) -> str:
+        why = box if isinstance(box, str) else self.out_of_reach(box, frame.t_s) if is_tap else ""
+        if why or isinstance(box, str):
+            return why
         self._start, self._first, self._looking = Start(box, frame), None, None
         return ""
 
@@ -131,7 +133,7 @@ class Selector:
         """The track of the newest frame; not found while the tracker catches up, None without a target."""
         if self._looking is not None and self._looking[0].done():
             (found, frame), self._looking = self._looking, None
-            self.decided(self._take(found.result(), frame))
+            self.decided(self._take(found.result(), frame, is_tap=True))
         if self._first is not None:
             box, self._first, self._has_target = self._first, None, True
             return self._init(image, box)

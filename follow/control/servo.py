@@ -12,7 +12,7 @@ from follow.control.pid import Gains, Pid
 from follow.geometry import heading_to_ned, ned_to_heading, wrap
 from follow.messages import NEVER, Estimate, Setpoint, VehicleState
 from follow.ranges import require_numbers
-from follow.selection import AS_SET, HOVER_HERE, Wanted
+from follow.selection import AS_SET, HOVER_HERE, NOT_KEPT, KeptStandoff, Wanted
 
 
 class ServoMode(str, Enum):
@@ -60,6 +60,11 @@ class ServoConfig:
         require_numbers("servo setting", self, may_be_zero=may_be_zero, any_sign=("orbit_m_s",))
 
 
+FAR_BELOW = "the target is far below: nearer, it would leave the image"
+UNCERTAIN = "its range is uncertain: it may be nearer than it seems"
+"""Why a larger stand-off is kept than is wanted."""
+
+
 FARTHEST = 2.5
 """At most this multiple of the stand-off is kept to a target far below."""
 
@@ -99,6 +104,7 @@ class Servo:
     pitch_rad: float | None = None
     t_s: float = NEVER
     wanted: Wanted = AS_SET
+    kept: KeptStandoff = NOT_KEPT
     settings: ServoConfig = field(init=False)  # what is set; `config` is that with what a person wants
 
     def __post_init__(self) -> None:
@@ -112,6 +118,7 @@ class Servo:
         does not wind up the integrators.
         """
         self.want(wanted)
+        self.kept = NOT_KEPT
         dt = max(estimate.t_s - self.t_s, 0.0) if self.t_s > NEVER else 0.0
         self.t_s = estimate.t_s
         if self.pitch_rad is None:
@@ -206,10 +213,15 @@ class Servo:
         steepest = math.tan(min(max(self.middle_rad() + c.band_rad, c.band_rad), STEEPEST_RAD))
         desired = min(max(c.standoff_m, height / steepest), FARTHEST * c.standoff_m)
         error = estimate.range_m - desired
+        self.kept = KeptStandoff(desired, FAR_BELOW if desired > c.standoff_m else "")
         # Of a target that is not seen the nearest possible range falls without end; braking is the gate's part then.
         if estimate.t_s - estimate.seen_t_s > SEEN_S:
             return error
-        return min(error, estimate.range_near_m - c.near_fraction * c.standoff_m)
+        surely = estimate.range_near_m - c.near_fraction * c.standoff_m
+        if not surely < error:  # NaN: nothing says that it may be nearer
+            return error
+        self.kept = KeptStandoff(estimate.range_m - surely, UNCERTAIN)
+        return surely
 
     def middle_rad(self) -> float:
         """The depression of the image's middle row at the filtered pitch."""

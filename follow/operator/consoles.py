@@ -17,7 +17,19 @@ from enum import Enum
 from follow.messages import NEVER, Mode, Notify, Order, Tick
 from follow.operator.authority import Operator
 from follow.safety.modes import FLYING, STREAMING
-from follow.selection import AS_SET, HOVER_HERE, Choice, Choose, Selection, TrackingState, TrackingStatus, Wanted
+from follow.selection import (
+    ANY_STANDOFF,
+    AS_SET,
+    HOVER_HERE,
+    NOT_KEPT,
+    Choice,
+    Choose,
+    KeptStandoff,
+    Selection,
+    TrackingState,
+    TrackingStatus,
+    Wanted,
+)
 
 SPOTLIGHT = "spotlight"
 DRAWN_S = 10.0  # a box drawn within this time is what the person means; an older one is confirmed
@@ -82,8 +94,8 @@ class Consoles:
     """The consoles' side of the operator, called in the loop's thread only.
 
     `select` takes a choice to the tracker; `is_looking` says whether the box of a tap is still looked for: `decided` is
-    told what was found, and `answer` the console.  `standoff_m` is the stand-off that is set; `follows` lets a box
-    that is drawn order FOLLOW by itself.
+    told what was found, and `answer` the console.  `standoff_m` is the stand-off that is set, `nearest` the least to
+    which it can be trimmed, `kept` what the servo keeps; `follows` lets a box that is drawn order FOLLOW by itself.
     """
 
     operator: Operator
@@ -91,6 +103,8 @@ class Consoles:
     report: Notify
     standoff_m: float = 12.0
     follows: bool = False
+    nearest: KeptStandoff = ANY_STANDOFF
+    kept: Callable[[], KeptStandoff] = lambda: NOT_KEPT
     tell: Notify = lambda _text: None  # a short text for the pilot
     is_looking: Callable[[], bool] = lambda: False
     answer: Callable[[str, Reply], object] = lambda _console, _reply: None
@@ -261,7 +275,7 @@ class Consoles:
             return Reply(False, "trims act while it follows")
         if command in (ConsoleCommand.NEARER, ConsoleCommand.FARTHER):
             factor = w.standoff_factor * (STANDOFF_STEP if command is ConsoleCommand.FARTHER else 1 / STANDOFF_STEP)
-            w = replace(w, standoff_factor=min(max(factor, STANDOFF_RANGE[0]), STANDOFF_RANGE[1]))
+            w = replace(w, standoff_factor=self.possible(factor))
         elif command in (ConsoleCommand.HIGHER, ConsoleCommand.LOWER):
             raised = w.raise_rad + (RAISE_STEP_RAD if command is ConsoleCommand.HIGHER else -RAISE_STEP_RAD)
             w = replace(w, raise_rad=min(max(raised, RAISE_RANGE[0]), RAISE_RANGE[1]))
@@ -271,10 +285,22 @@ class Consoles:
         self.wanted = w
         return Reply(True, self.trimmed())
 
+    @property
+    def least_factor(self) -> float:
+        """The least factor of the stand-off: STANDOFF_RANGE's, or that of the nearest one that is kept."""
+        return max(STANDOFF_RANGE[0], min(1.0, self.nearest.standoff_m / self.standoff_m))
+
+    def possible(self, factor: float) -> float:
+        """The factor of the stand-off within what can be trimmed to."""
+        return min(max(factor, self.least_factor), STANDOFF_RANGE[1])
+
     def trimmed(self) -> str:
-        """What the trims have made of the wanted geometry."""
+        """What the trims have made of the wanted geometry, and why it comes no nearer."""
         w = self.wanted
-        return f"stand-off {self.standoff_m * w.standoff_factor:.0f} m, {math.degrees(w.raise_rad):+.0f}°"
+        least = (
+            f" (the least: {self.nearest.why})" if STANDOFF_RANGE[0] < self.least_factor == w.standoff_factor else ""
+        )
+        return f"stand-off {self.standoff_m * w.standoff_factor:.0f} m{least}, {math.degrees(w.raise_rad):+.0f}°"
 
     def proposal(self) -> str:
         """What would be flown: range, height, stand-off and mode."""
@@ -283,7 +309,9 @@ class Consoles:
         seen = self.tick.estimate
         height_m = seen.range_m * math.tan(seen.depression_rad)
         mode = self.flown_mode or self.set_mode
-        return f"{seen.range_m:.0f} m away, {height_m:.0f} m above it; {mode} at {self.standoff_m:.0f} m"
+        kept = self.kept()
+        at = f"{kept.standoff_m:.0f} m, as {kept.why}" if kept.why else f"{self.standoff_m:.0f} m"
+        return f"{seen.range_m:.0f} m away, {height_m:.0f} m above it; {mode} at {at}"
 
 
 def shown(tick: Tick, before: TrackingStatus) -> TrackingStatus:

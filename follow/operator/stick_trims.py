@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from follow.messages import NEVER, Mode, Tick
 from follow.operator.authority import RECENT_S, RemoteObservations
-from follow.operator.consoles import AROUND_M_S, RAISE_RANGE, STANDOFF_RANGE, Consoles
+from follow.operator.consoles import AROUND_M_S, RAISE_RANGE, Consoles
 from follow.operator.sticks import PWM, STICK_US, STICKS
 from follow.selection import HOVER_HERE
 
@@ -69,7 +69,7 @@ class StickTrims:
             wanted = replace(wanted, around_m_s=AROUND_M_S * right)
         if forward:
             factor = wanted.standoff_factor * (1.0 - NEARER_PER_S * forward * dt_s)
-            wanted = replace(wanted, standoff_factor=min(max(factor, STANDOFF_RANGE[0]), STANDOFF_RANGE[1]))
+            wanted = replace(wanted, standoff_factor=self.consoles.possible(factor))
         if up:
             raised = wanted.raise_rad + RAISE_RAD_S * up * dt_s
             wanted = replace(wanted, raise_rad=min(max(raised, RAISE_RANGE[0]), RAISE_RANGE[1]))

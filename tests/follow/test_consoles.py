@@ -1,5 +1,6 @@
 """Consoles: one commands, STOP works from all, a target that nobody drew just now is confirmed, trims are bounded."""
 
+import contextlib
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +14,7 @@ from follow.messages import HOVER, Decision, Estimate, Frame, Mode, Order, Tick,
 from follow.operator.authority import Operator
 from follow.operator.consoles import CONFIRM_S, DRAWN_S, SILENT_S, ConsoleCommand, Consoles
 from follow.operator.told import TEXT_EVERY_S, PilotTexts
-from follow.selection import AS_SET, HOVER_HERE, Cleared, Selection, TrackingState
+from follow.selection import AS_SET, HOVER_HERE, Cleared, KeptStandoff, Selection, TrackingState
 from racf.box import Box
 from racf.commandline import UsageError
 from racf.track import Track
@@ -148,6 +149,24 @@ def test_trims_stay_bounded_and_the_move_to_the_side_ends(presses):
     assert desk.ordered() == [], "a trim is no order"
 
 
+def test_a_trim_stops_at_the_nearest_that_is_kept_says_why_and_is_not_wound_up():
+    desk = Desk(standoff_m=12.0, nearest=KeptStandoff(9.0, "nearer, its feet leave the image"))
+    desk.draw()
+    desk.at(2.0, Mode.FOLLOW)
+    replies = [desk.order("nearer").words for _ in range(6)]
+    assert "the least" not in replies[0]
+    assert "stand-off 9 m (the least: nearer, its feet leave the image)" in replies[-1]
+    assert desk.consoles.wanted.standoff_factor == pytest.approx(0.75)
+    assert "stand-off 10 m," in desk.order("farther").words, "one press back acts at once"
+
+
+def test_what_is_proposed_is_the_stand_off_that_will_be_kept():
+    desk = Desk(standoff_m=12.0)
+    assert desk.consoles.proposal().endswith("chase at 12 m")
+    desk.consoles.kept = lambda: KeptStandoff(18.0, "the target is far below")
+    assert desk.consoles.proposal().endswith("chase at 18 m, as the target is far below")
+
+
 def test_a_refused_selection_goes_back_with_its_reason_and_a_flood_is_one():
     desk = Desk()
     desk.refusal = "box outside the image"
@@ -206,6 +225,27 @@ def test_nobody_on_an_open_network_chooses_a_target_unless_allowed_or_orders_fol
     for follows, unsigned in ((False, False), (True, False), (True, True)):
         with pytest.raises(UsageError, match="must not choose the target or order FOLLOW"):
             check(replace(command, ground="udpin:0.0.0.0:5", ground_follows=follows, ground_unsigned=unsigned))
+
+
+@pytest.mark.parametrize(
+    ("link", "ground", "is_one"),
+    [
+        ("udpin:127.0.0.1:14540", "udpin:127.0.0.1:14540", True),
+        ("udpin:0.0.0.0:14540", "udpin:127.0.0.1:14540", True),
+        ("mavsdk+udpin://0.0.0.0:14540", "udpin:localhost:14540", True),
+        ("serial:/dev/ttyS0:57600", "serial:/dev/../dev/ttyS0:115200", True),
+        ("udpin:127.0.0.1:14540", "udpin:127.0.0.1:14541", False),
+        ("udpin:127.0.0.1:14540", "udpin:127.0.0.2:14540", False),
+        ("udpout:127.0.0.1:14540", "udpin:127.0.0.1:14540", False),
+        ("serial:/dev/ttyS0:57600", "udpin:127.0.0.1:14540", False),
+        ("udpin:127.0.0.1:14540", "link", False),
+    ],
+)
+def test_link_and_ground_on_one_port_are_refused_before_anything_starts(link, ground, is_one):
+    command = RunCommand(link=link, camera="scene:walker", ground=ground)
+    refused = pytest.raises(UsageError, match="are one place, and only one of them can have it: give --ground another")
+    with refused if is_one else contextlib.nullcontext():
+        check(command)
 
 
 @pytest.mark.parametrize("follows", [False, True])

@@ -18,6 +18,7 @@ from follow.operator.page import windows
 from follow.operator.page.desk import ACTS, FRAMES
 from follow.operator.page.exchange import WAITING_ACTS, WAITING_STOPS, Act, Doing, Exchange, read_act
 from follow.operator.page.windows import BURST, WINDOWS, jpeg_of
+from follow.selection import KeptStandoff
 from tests.support.page_rig import PageRig
 
 
@@ -257,6 +258,15 @@ def test_an_error_inside_the_page_is_told_once_and_harms_nothing_else(rig, monke
         window.until(lambda w: w.images)
     (line,) = (line for line in rig.lines if "could not serve" in line)
     assert "KeyError" in line
+
+
+def test_the_stand_off_that_is_kept_is_shown_where_it_is_not_the_wished_one(rig):
+    with rig.window() as window:
+        window.until(lambda w: w.status.get("standoff_m") == 12.0 and w.status.get("kept") == "")
+        rig.consoles.kept = lambda: KeptStandoff(17.6, "the target is far below")
+        window.until(lambda w: w.status["kept"] == "keeps 18 m: the target is far below")
+        rig.consoles.kept = lambda: KeptStandoff(12.3)
+        window.until(lambda w: w.status["kept"] == "")
 
 
 def test_the_charge_is_that_of_the_autopilot_if_it_knows():

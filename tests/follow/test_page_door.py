@@ -1,11 +1,13 @@
 """The page's door: token, Origin, Host; recordings that no word of a request leads out of."""
 
+import ipaddress
 import json
 import re
 import socket
 import urllib.error
 import urllib.request
 from dataclasses import replace
+from urllib.parse import urlsplit
 
 import pytest
 from websockets.exceptions import InvalidStatus
@@ -13,6 +15,7 @@ from websockets.sync.client import connect
 
 from follow.cli.program import main
 from follow.messages import Mode
+from follow.operator.page import door
 from follow.operator.page.door import PageAddress, parse_page_address, read_token
 from follow.operator.page.exchange import Exchange
 from follow.operator.page.server import HTML, PageServer
@@ -127,9 +130,28 @@ def test_an_address_that_is_taken_is_refused_in_words(rig, tmp_path):
         PageServer(PageAddress("127.0.0.1", rig.port), "", Exchange(), tmp_path, rig.report)
 
 
+def test_a_phone_gets_addresses_of_this_machine_and_no_name(monkeypatch):
+    known = {"lo": ("127.0.0.1",), "docker0": ("172.17.0.1",), "eth0": ("10.0.0.7",), "wlan0": ("192.168.4.1",)}
+    monkeypatch.setattr(door.socket, "if_nameindex", lambda: list(enumerate(known, 1)))
+    monkeypatch.setattr(door, "ipv4_of", known.__getitem__)
+    kinds = {"eth0/device", "wlan0/device", "wlan0/wireless"}
+    monkeypatch.setattr(door.Path, "exists", lambda path: "/".join(path.parts[-2:]) in kinds)
+    urls = parse_page_address("0.0.0.0:8080").urls("x")
+    assert urls == tuple(f"http://{host}:8080/?token=x" for host in ("192.168.4.1", "10.0.0.7", "172.17.0.1"))
+
+
+def test_every_address_that_is_printed_is_one_at_which_the_page_can_be_opened(tmp_path):
+    with PageRig(tmp_path / "now", TOKEN, "0.0.0.0") as rig:
+        for url in rig.server.address.urls(TOKEN):
+            assert ipaddress.ip_address(urlsplit(url).hostname), "no name: a phone at the field cannot look it up"
+            request = urllib.request.Request(url)
+            opener = urllib.request.build_opener(urllib.request.ProxyHandler({}), urllib.request.HTTPCookieProcessor())
+            assert opener.open(request, timeout=5.0).read() == HTML.read_bytes()
+
+
 def test_an_address_is_read():
     assert parse_page_address("127.0.0.1:8080") == PageAddress("127.0.0.1", 8080)
-    assert parse_page_address("[::1]:8080").url("x") == "http://[::1]:8080/?token=x"
+    assert parse_page_address("[::1]:8080").urls("x") == ("http://[::1]:8080/?token=x",)
     for text in ("8080", "127.0.0.1", ":8080", "127.0.0.1:0", "127.0.0.1:65536", "127.0.0.1:٨", ""):
         with pytest.raises(ValueError, match="HOST:PORT"):
             parse_page_address(text)

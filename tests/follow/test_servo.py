@@ -327,3 +327,18 @@ def test_a_steep_camera_is_trimmed_to_all_of_the_person_s_wish():
     assert servo.config.standoff_m == pytest.approx(0.5 * CONFIG.standoff_m)
     servo.update(estimate(), STATE, Wanted(standoff_factor=2.0))
     assert servo.config.standoff_m == pytest.approx(2.0 * CONFIG.standoff_m)
+
+
+@given(st.floats(8.0, 60.0), st.floats(0.1, 1.2), st.floats(0.4, 1.0))
+def test_at_the_stand_off_that_it_says_it_keeps_the_servo_asks_for_no_approach(range_m, depression, near):
+    servo = Servo(DOWN)
+    servo.update(estimate(depression=depression, range_m=range_m, range_near_m=near * range_m), STATE)
+    kept = servo.kept
+    assert kept.why or kept.standoff_m == pytest.approx(CONFIG.standoff_m)
+    assert bool(kept.why) is (kept.standoff_m > CONFIG.standoff_m + 1e-9)
+    height_m = range_m * math.tan(depression)
+    there = math.atan2(height_m, kept.standoff_m)
+    gap_m = range_m * (1.0 - near)  # of the nearest possible range, as it is now
+    settled = Servo(DOWN)
+    at = estimate(depression=there, range_m=kept.standoff_m, range_near_m=kept.standoff_m - gap_m)
+    assert settled.range_error(at) == pytest.approx(0.0, abs=1e-6)

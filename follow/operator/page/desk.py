@@ -14,6 +14,7 @@ from follow.selection import HOVER_HERE, Cleared, Selection, TrackingState, Trac
 
 ACTS = 4  # heeded in a round, besides every STOP: a flood must not delay a setpoint
 FRAMES = 256  # whose times are kept: more than a selection may name (2 s at 60 frames/s)
+SAME_M = 0.5  # a smaller difference of two stand-offs is not shown
 PATH_S = 0.5  # between two points of the top view
 
 CALM, GOOD, WARNS, BAD = "calm", "good", "warns", "bad"
@@ -149,6 +150,7 @@ class PageDesk:
             "proposal": consoles.proposal() if self._is_proposed() else "",
             "would_fly": consoles.proposal() if is_known else "",
             "standoff_m": number(consoles.standoff_m * wanted.standoff_factor, 1),
+            "kept": self._kept(consoles.standoff_m * wanted.standoff_factor),
             "raise_deg": number(math.degrees(wanted.raise_rad), 0),
             "flown_mode": consoles.flown_mode or consoles.set_mode,
             "wanted": wanted.mode,
@@ -156,6 +158,13 @@ class PageDesk:
             "recording": self._recording,
             "map": self._map(state, seen if is_known else None),
         }
+
+    def _kept(self, desired_m: float) -> str:
+        """The stand-off that the servo keeps and why, where it differs from the desired one; else empty."""
+        kept = self._consoles.kept()
+        if not abs(kept.standoff_m - desired_m) > SAME_M:  # NaN: none is kept
+            return ""
+        return f"keeps {kept.standoff_m:.0f} m" + (f": {kept.why}" if kept.why else "")
 
     def _is_proposed(self) -> bool:
         return self._consoles.t_s - self._consoles.proposed_t_s <= CONFIRM_S

@@ -6,6 +6,8 @@ site shows the page in a frame and lets the user click in it: frames are forbidd
 token is needed besides, once in the address, from then on in a cookie that no other site can use.
 """
 
+import contextlib
+import fcntl
 import hashlib
 import hmac
 import ipaddress
@@ -13,6 +15,7 @@ import re
 import secrets
 import socket
 import stat
+import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
 from http.cookies import CookieError, SimpleCookie
@@ -23,6 +26,9 @@ from follow.link.transports import LAST_PORT, Reach, reach_of
 
 LEAST_TOKEN = 16  # letters: what `secrets.token_urlsafe(12)` has, 96 bits
 COOKIE_S = 30 * 24 * 3600  # a season's phone need not scan the address before each flight
+
+INTERFACES = Path("/sys/class/net")
+SIOCGIFADDR = 0x8915  # netdevice(7): the address of an interface
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,11 +43,45 @@ class PageAddress:
         """Whether only programs on this machine reach it."""
         return reach_of(self.host) is Reach.LOOPBACK
 
-    def url(self, token: str = "") -> str:
-        """What a person types into a browser on this machine, or on the network."""
-        host = self.host if self.host not in ("0.0.0.0", "::", "") else socket.gethostname()
-        host = f"[{host}]" if ":" in host else host
-        return f"http://{host}:{self.port}/" + (f"?{urlencode({'token': token})}" if token else "")
+    @property
+    def is_everywhere(self) -> bool:
+        """Whether it listens at every address of this machine."""
+        return self.host in ("0.0.0.0", "::")
+
+    def urls(self, token: str = "") -> tuple[str, ...]:
+        """What a person types into a browser: one for each address of this machine that another device reaches.
+
+        Addresses, because a phone at the field has no name server that knows this machine's name.  None without a
+        network.
+        """
+        hosts = network_addresses(":" in self.host) if self.is_everywhere else (self.host,)
+        query = f"?{urlencode({'token': token})}" if token else ""
+        return tuple(f"http://{f'[{host}]' if ':' in host else host}:{self.port}/{query}" for host in hosts)
+
+
+def network_addresses(is_ipv6: bool = False, interfaces: Path = INTERFACES) -> tuple[str, ...]:
+    """This machine's addresses on networks, those of wireless interfaces first, virtual ones (containers) last."""
+    found: list[tuple[bool, bool, int, str]] = []
+    for index, name in socket.if_nameindex():
+        folder = interfaces / name
+        kind = not (folder / "wireless").exists(), not (folder / "device").exists(), index
+        found += [(*kind, address) for address in (ipv6_of(name) if is_ipv6 else ipv4_of(name))]
+    return tuple(address for *_kind, address in sorted(found) if reach_of(address) is Reach.NETWORK)
+
+
+def ipv4_of(interface: str) -> tuple[str, ...]:
+    """The interface's first IPv4 address; none if it has none or is down."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, contextlib.suppress(OSError):
+        answer = fcntl.ioctl(probe, SIOCGIFADDR, struct.pack("256s", interface.encode()[:15]))
+        return (socket.inet_ntoa(answer[20:24]),)
+    return ()
+
+
+def ipv6_of(interface: str, table: Path = Path("/proc/net/if_inet6")) -> tuple[str, ...]:
+    """The interface's IPv6 addresses that are not of one link only: those need its name, which browsers do not take."""
+    lines = table.read_text().splitlines() if table.exists() else []
+    rows = [line.split() for line in lines]
+    return tuple(str(ipaddress.ip_address(bytes.fromhex(r[0]))) for r in rows if r[5] == interface and r[3] == "00")
 
 
 def parse_page_address(text: str) -> PageAddress:
