@@ -63,7 +63,8 @@ demo: setup
 
 # What needs the extras: the Dask cluster, OpenCV's own trackers.
 test-extras: $(BENCH)/.installed
-	$(BENCH)/bin/python -m pytest tests/racf/test_evaluate_runner.py tests/racf/test_evaluate_speed.py tests/racf/test_evaluate_peers.py
+	$(BENCH)/bin/python -m pytest tests/racf/test_evaluate_runner.py tests/racf/test_evaluate_speed.py tests/racf/test_evaluate_peers.py \
+		tests/racf/test_study_halves.py
 
 format: setup
 	$(BIN)/ruff format .

@@ -2,22 +2,24 @@
 
 Table 2: precision and speed.  Table 3: success over ADMM iterations for three trackers.  Table 4: success over the
 residue's weight and ADMM iterations.  Table 5: the components, and the scale refinement on other trackers.
+All are over every start of a sequence, nominal and jittered.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from racf.evaluate import plots
-from racf.evaluate.metrics import mean_score
+from racf.evaluate.metrics import interval_of_mean, mean_score
 from racf.evaluate.report import Report, ResultRow, Table
 from racf.evaluate.trackers import opencv_has
 
 ITERATIONS = (1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 15, 20, 25)  # the columns of Table 3 [Paper]
 ETAS = (0.2, 0.4, 0.6, 0.8, 1.0, 1.2, 1.4, 1.6)  # the columns of Table 4 [Paper]
 CONVERGING = ("bacf", "arcf-hc", "racf--")  # the rows of Table 3 [Paper]
+WITHOUT = {"racf": "racf-", "racf-": "racf--"}  # what a row of Table 5 adds a component to; `X,refine` adds it to `X`
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,19 +79,18 @@ def _row(report: Report, label: str) -> ResultRow:
 
 def _auc(report: Report, label: str) -> float:
     """Over all starts, nominal and jittered: one occlusion that a start passes or not moves a mean of few sequences."""
-    row = _row(report, label)
-    starts = [judged for name in report.counted for judged in (row.nominal[name], *row.jittered.get(name, ()))]
-    return mean_score([judged.toolkit for judged in starts]).auc
+    return _over_sequences(_row(report, label), report.counted)[0]
 
 
 def _speed_and_precision(report: Report) -> Table:
     rows: list[tuple[str, ...]] = []
     for row in report.rows:
-        by_benchmark = [_means(report, row, benchmark)[1] for benchmark in report.benchmarks()]
+        by_benchmark = [_over_sequences(row, report.names(b))[1] for b in report.benchmarks()]
         fps = [row.fps[name] for name in report.counted if name in row.fps]
         cells = [f"{float(np.mean(by_benchmark)):.1f}", f"{float(np.mean(fps)):.1f}" if fps else "-"]
-        rows.append((row.label, *cells, *(f"{value:.1f}" for value in by_benchmark)))
-    header = ("tracker", "precision, mean of benchmarks", "fps", *report.benchmarks())
+        every = _over_sequences(row, report.counted)[1]
+        rows.append((row.label, *cells, *(f"{value:.1f}" for value in (*by_benchmark, every))))
+    header = ("tracker", "precision, mean of benchmarks", "fps", *report.benchmarks(), "all sequences")
     return Table("Table 2: precision at 20 px (percent) and speed", header, tuple(rows))
 
 
@@ -109,16 +110,40 @@ def _over_weights(report: Report, grid: Sweep) -> Table:
 def _components(report: Report) -> Table:
     rows: list[tuple[str, ...]] = []
     for row in report.rows:
-        pairs = [_means(report, row, benchmark) for benchmark in report.benchmarks()]
+        pairs = [_over_sequences(row, report.names(b)) for b in report.benchmarks()]
         pairs.append((float(np.mean([p[0] for p in pairs])), float(np.mean([p[1] for p in pairs]))))
-        rows.append((row.label, *(f"{auc:.1f} / {precision:.1f}" for auc, precision in pairs)))
+        pairs.append(_over_sequences(row, report.counted))
+        rows.append((row.label, *(f"{auc:.1f} / {precision:.1f}" for auc, precision in pairs), _gain(report, row)))
     title = "Table 5: AUC / precision (percent) of the components; `refine` adds the scale refinement"
-    return Table(title, ("tracker", *report.benchmarks(), "mean of benchmarks"), tuple(rows))
+    header = ("tracker", *report.benchmarks(), "mean of benchmarks", "all sequences", "gain over all sequences, 95 %")
+    return Table(title, header, tuple(rows))
 
 
-def _means(report: Report, row: ResultRow, benchmark: str) -> tuple[float, float]:
-    mean = mean_score([row.nominal[name].toolkit for name in report.names(benchmark)])
+def _gain(report: Report, row: ResultRow) -> str:
+    """What a component adds: a row minus the same tracker without it, paired by sequence; empty without such a row."""
+    without = row.label.removesuffix(",refine") if row.label.endswith(",refine") else WITHOUT.get(row.label)
+    if without not in {other.label for other in report.rows}:
+        return ""
+    base = _row(report, without)
+    pairs = [(_of_sequence(row, name), _of_sequence(base, name)) for name in report.counted]
+    gains = np.array([np.subtract(ours, theirs) for ours, theirs in pairs])
+    ends = [interval_of_mean(column.tolist()) for column in gains.T]
+    cells = (
+        f"{mean:+.1f} ({low:+.1f}..{high:+.1f})" for mean, (low, high) in zip(gains.mean(axis=0), ends, strict=True)
+    )
+    return f"over `{without}`: {' / '.join(cells)}"
+
+
+def _of_sequence(row: ResultRow, name: str) -> tuple[float, float]:
+    """AUC and precision of one sequence, the mean over its starts."""
+    mean = mean_score([judged.toolkit for judged in (row.nominal[name], *row.jittered.get(name, ()))])
     return mean.auc, mean.precision_20px
+
+
+def _over_sequences(row: ResultRow, names: Iterable[str]) -> tuple[float, float]:
+    """AUC and precision over these sequences, each counting alike however many starts it has."""
+    auc, precision = np.mean([_of_sequence(row, name) for name in names], axis=0)
+    return float(auc), float(precision)
 
 
 def _best_marked(values: list[float]) -> tuple[str, ...]:

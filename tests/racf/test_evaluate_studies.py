@@ -76,11 +76,32 @@ def test_tables_2_and_5_average_over_benchmarks(sequences):
     report = report_of(sequences, {"good": 0.0, "bad": 30.0})
     hit = 100 / 6  # the first of six frames is given
     speed = studies.lay_out(2, report, GRID)
-    assert speed.header[-2:] == ("A", "B")
-    assert numbers(speed.rows[0][1:]) == pytest.approx([100, 50, 100, 100])
-    assert numbers(speed.rows[1][1:]) == pytest.approx([hit, 50, hit, hit], abs=0.05)
+    assert speed.header[-3:] == ("A", "B", "all sequences")
+    assert numbers(speed.rows[0][1:]) == pytest.approx([100, 50, 100, 100, 100])
+    assert numbers(speed.rows[1][1:]) == pytest.approx([hit, 50, hit, hit, hit], abs=0.05)
     components = studies.lay_out(5, report, GRID)
-    assert numbers(components.rows[1][1:])[1::2] == pytest.approx([hit] * 3, abs=0.05)
+    assert numbers(components.rows[1][1:])[1::2] == pytest.approx([hit] * 4, abs=0.05)
+
+
+def test_jittered_starts_count_in_tables_2_and_5(sequences):
+    runs = {
+        "x": {s.name: [SequenceRun(s.truth + np.array([d, 0, 0, 0]), 50.0, {}) for d in (0, 30)] for s in sequences}
+    }
+    half = (100 + 100 / 6) / 2
+    report = build_report(sequences, runs, {})
+    assert numbers(studies.lay_out(2, report, GRID).rows[0][-1:]) == pytest.approx([half], abs=0.05)
+    assert numbers(studies.lay_out(5, report, GRID).rows[0][1:])[1::2] == pytest.approx([half] * 4, abs=0.05)
+
+
+def test_table_5_gives_what_each_component_adds(sequences):
+    shifts = {"bacf": 30.0, "bacf,refine": 0.0, "racf--": 30.0, "racf-": 0.0, "racf": 30.0}
+    rows = {row[0]: row[-1] for row in studies.lay_out(5, report_of(sequences, shifts), GRID).rows}
+    gain = 100 - 100 / 6  # the first of six frames is given
+    assert rows["bacf"] == rows["racf--"] == ""
+    for label, base, sign in (("bacf,refine", "bacf", 1), ("racf-", "racf--", 1), ("racf", "racf-", -1)):
+        assert rows[label].startswith(f"over `{base}`: ")
+        precision = [float(n) for n in re.findall(r"[-+][\d.]*\d", rows[label].split(" / ")[1])]
+        assert precision == pytest.approx([sign * gain] * 3, abs=0.06)
 
 
 def test_speeds_that_lie_beside_stored_boxes_are_shown(sequences):

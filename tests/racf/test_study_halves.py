@@ -1,10 +1,13 @@
 """The two-fold study: nothing is judged on a sequence that chose it, and every start begins on a target."""
 
+import sys
+
 import numpy as np
 import pytest
 
+import tests.support.rendered_benchmarks as rendered
 from racf.evaluate.benchmarks import Sequence
-from tools.studies.halves import HALVES, INNER, difference, inner_starts, over, two_fold
+from tools.studies.halves import AUTHORS, HALVES, INNER, difference, inner_starts, main, over, two_fold
 
 EVERY = [*HALVES["A"], *HALVES["B"]]
 
@@ -48,3 +51,41 @@ def test_inner_starts_begin_where_the_target_is_annotated() -> None:
     parts = list(inner_starts(sequence))
     assert [len(part.truth) for part in parts] == [30 - 14, 30 - 21]
     assert len({part.name for part in parts} | {sequence.name}) == 1 + len(INNER)
+
+
+@pytest.fixture
+def twenty(tmp_path):
+    """The twenty by name, each seven rendered frames, with the annotation as the authors' boxes."""
+    data = rendered.plain_folder(tmp_path / "data", tuple(EVERY), frames=7)
+    for name in EVERY:
+        truth = (data / name / "groundtruth_rect.txt").read_text()
+        (data / "results" / "RACF").mkdir(parents=True, exist_ok=True)
+        (data / "results" / "RACF" / f"{name}.txt").write_text(truth)
+    return data
+
+
+def printed(capsys, monkeypatch, *arguments: object) -> str:
+    monkeypatch.setattr(sys, "argv", ["halves", *map(str, arguments)])
+    main()
+    return capsys.readouterr().out
+
+
+def test_a_study_reads_the_runs_that_it_left(twenty, tmp_path, capsys, monkeypatch):
+    asked = (twenty, "--tracker", "racf--", "--against", "bacf", "--jobs", 1, "--out", tmp_path / "out")
+    first = printed(capsys, monkeypatch, *asked)
+    assert [line.split("|")[1].strip() for line in first.splitlines()[2:]] == [f"`{AUTHORS}`", "`bacf`", "`racf--`"]
+    assert printed(capsys, monkeypatch, *asked) == first
+    for boxes in (tmp_path / "out").rglob("*.txt"):
+        boxes.write_text("1,1,2,2\n" * len(boxes.read_text().splitlines()))
+    assert printed(capsys, monkeypatch, *asked) != first
+
+
+@pytest.mark.filterwarnings("default")  # of the cluster's own libraries
+def test_a_study_has_the_same_figures_on_a_dask_cluster(twenty, tmp_path, capsys, monkeypatch):
+    distributed = pytest.importorskip("distributed", reason="distributed (the extra dask) is missing")
+    asked = (twenty, "--tracker", "racf--", "--against", "bacf")
+    here = printed(capsys, monkeypatch, *asked, "--jobs", 1, "--out", tmp_path / "here")
+    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
+        there = printed(capsys, monkeypatch, *asked, "--dask", cluster.scheduler_address, "--out", tmp_path / "there")
+    assert here == there
+    assert "| `racf--` |" in here
