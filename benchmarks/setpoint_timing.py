@@ -13,6 +13,7 @@ one has its governor at performance (docs/service).
 With `--watchers` and `--clicks` the operator's page is on, and another process loads it (`benchmarks.page_load`).
 With `--ground` a ground station finds the camera, draws its box again every 5 s and gets the video; `--ground-clicks` a
 second come from another one.
+With `--detector model.onnx` a network looks at the frames in a process of its own.
 With `--disk-stall SECONDS` the recording goes to a file system of its own that is frozen for that time again and again:
 every write to it waits (needs root, mkfs.ext4 and fsfreeze).  Between two stalls it is left alone for as long, one
 second to catch up apart, which counts to the stall.  What else this machine does falls on both, so the stalls are
@@ -169,6 +170,7 @@ def main() -> int:
     parser.add_argument("--clicks", type=float, default=0.0, help="into the page, 1/s")
     parser.add_argument("--ground", action="store_true", help="ground camera and video")
     parser.add_argument("--ground-clicks", type=float, default=0.0, help="of another ground station, 1/s")
+    parser.add_argument("--detector", type=Path, help="ONNX file of a network that looks at the frames beside the loop")
     parser.add_argument("--disk-stall", type=float, default=0.0, metavar="SECONDS")
     options = parser.parse_args()
     with contextlib.ExitStack() as stack:
@@ -183,6 +185,7 @@ def main() -> int:
         if options.watchers or options.clicks:
             page = f"127.0.0.1:{free_ports(1)[0]}"
             flags += ["--page", page]
+        flags += ["--detector", str(options.detector)] if options.detector else []
         flags += ground.options if ground is not None else []
         if page or ground is not None:
             flags += ["--target", f"{box.x:.0f},{box.y:.0f},{box.w:.0f},{box.h:.0f}"]

@@ -23,9 +23,17 @@ from follow.messages import (
     Tick,
     VehicleState,
 )
-from follow.selection import AS_SET, Wanted
+from follow.selection import AS_SET, Detections, Wanted
 from racf.box import Box
 from racf.track import Track
+
+
+class ObjectDetector(Protocol):
+    """Finds objects in frames, late and not in each; those of `follow.control.detecting` do."""
+
+    def update(self, frame: Frame | None, t_s: float) -> Detections | None:
+        """Take in a round at `t_s` and its frame; what was found last, None if that is too old."""
+        ...
 
 
 class BoxTracker(Protocol):
@@ -39,8 +47,11 @@ class BoxTracker(Protocol):
 class TargetEstimator(Protocol):
     """Estimates the target's position from boxes and the vehicle's motion; `follow.control.target.Target` is one."""
 
-    def predict(self, state: VehicleState, t_s: float) -> Box | None:
-        """The box where the target should appear in the image taken at `t_s`; None: at its last box."""
+    def predict(self, state: VehicleState, t_s: float, found: Detections | None = None) -> Box | None:
+        """The box where the target should appear in the image taken at `t_s`; None: at its last box.
+
+        `found` are objects that a lost target may be among.
+        """
         ...
 
     def update(
@@ -95,16 +106,18 @@ def follow(
     safety: SetpointGate,
     operator: Callable[[], Instruction] = lambda: NO_INSTRUCTION,
     meter: ImageMeter | None = None,
+    detector: ObjectDetector | None = None,
 ) -> Iterator[Tick]:
     """Keep the target in view until the frames end, yielding one Tick a round."""
     frame_t_s = NEVER
     for frame in camera.frames():
         clock = [perf_counter()]
         state = link.state()
+        found = detector.update(frame, state.t_s) if detector is not None else None
         track = None
         if frame is not None:
             frame_t_s = frame.t_s
-            track = tracker.update(frame.image, target.predict(state, frame.t_s))
+            track = tracker.update(frame.image, target.predict(state, frame.t_s, found))
         clock.append(perf_counter())
         motion = meter.update(frame, track, state) if meter is not None else None
         estimate = target.update(track, state, frame_t_s, motion)
@@ -116,4 +129,4 @@ def follow(
         clock.append(perf_counter())
         spent = zip(("tracker", "control", "send"), clock[:-1], clock[1:], strict=True)
         stage_ms = {name: 1e3 * (after - before) for name, before, after in spent}
-        yield Tick(frame, track, state, estimate, desired, decision, stage_ms, motion, instruction)
+        yield Tick(frame, track, state, estimate, desired, decision, stage_ms, motion, instruction, found)

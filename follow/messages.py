@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from follow.geometry import ned_to_heading
-from follow.selection import AS_SET, Wanted
+from follow.selection import AS_SET, Detections, Wanted
 from racf.track import Track
 
 Notify = Callable[[str], None]
@@ -367,6 +367,7 @@ class Tick:
     """One round of the loop.  `frame` and `track` are None in a round without a new frame.
 
     `instruction` and `motion` (of the image, None: no new measurement) are what went into the gate beside them.
+    `found` is what a detector found last, None if there is none or that is too old.
 
     `stage_ms` maps each stage's name to its wall-clock duration in ms.  It is only recorded; the loop never reads it.
     """
@@ -380,3 +381,4 @@ class Tick:
     stage_ms: dict[str, float] = field(default_factory=dict)
     motion: ImageMotion | None = None
     instruction: Instruction = NO_INSTRUCTION
+    found: Detections | None = None

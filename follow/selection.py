@@ -1,12 +1,15 @@
 """What passes between the consoles and the loop: the target that a person chose, how it is to be followed, what shows.
 
-Boxes are in shares of the image, 0 to 1 from its top-left corner, because a console shows it at another size.
+Boxes are in shares of the image, 0 to 1 from its top-left corner, because a console shows it at another size.  Those
+of a detector are in pixels, as the tracker's.
 """
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
+
+from racf.box import Box
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +64,27 @@ class TrackingStatus:
     state: TrackingState
     box: tuple[float, float, float, float] | None
     frame_t_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Detection:
+    """An object in the pixels of an image, with a score of 0 to 1."""
+
+    box: Box
+    score: float
+
+
+DETECTIONS_S = 1.0
+"""Detections older than this are no longer shown or offered: a walker has left his box by then."""
+
+
+@dataclass(frozen=True, slots=True)
+class Detections:
+    """What a detector found in the frame of that time and number: every object once, the likeliest first."""
+
+    t_s: float
+    index: int
+    objects: tuple[Detection, ...] = ()
 
 
 HOVER_HERE = "hover"

@@ -96,6 +96,9 @@ class SimCommand:
     tracker: str = TRACKER
     """Tracker: racf, racf-, racf-- (the fastest), bacf, arcf-hc; OpenCV's csrt, kcf, mil, nano, vit; or your own
     module:Class. Settings follow after commas: `racf` alone is the paper's, the default of the program racf."""
+    detector: Path | None = None
+    """ONNX file of a detector, as for `follow run`; what it finds comes 0.3 s of the flight's time later, or with
+    --page when it is ready. Default: no detector."""
     view: str | None = None
     """Show the flight in Rerun while it flies: here (also without a word), web for a browser, or
     rerun+http://HOST:PORT/proxy for a viewer on another computer. Default: not shown."""
@@ -147,8 +150,8 @@ class RunCommand:
     dry_run: bool = False
     """Send nothing that could move the vehicle; FOLLOW is pretended, and what would be sent is recorded."""
     detector: Path | None = None
-    """ONNX file of a detector of your own (YOLOX, YOLOv8 or later, SSD): a click becomes the box of the object there.
-    Default: what stands out there."""
+    """ONNX file of a detector of your own (YOLOX, YOLOv8 or later, SSD). Its boxes are shown to tap on and recorded, a
+    tap becomes the box of the object there, and a lost target is looked for in them. Default: no detector."""
     aim: bool = False
     """Use the box as a sight: the tracker starts again on what is in it when FOLLOW is ordered."""
     follow: bool = False

@@ -22,13 +22,13 @@ from follow.camera.recent import RecentFrames
 from follow.camera.sizes import shrink_for, whole
 from follow.camera.video import open_replay
 from follow.cli.commands import RunCommand, box_in, box_of, lens_of
+from follow.cli.detector import check_detector, open_detector
 from follow.cli.ground import check_ground, ground_sides
 from follow.cli.layers import SCENE, from_scene
 from follow.cli.page import consoles_of, desk_of, open_page, page_options
 from follow.cli.settings import as_toml, scene_values
 from follow.cli.sim import Referee, believed_camera, scene_camera
 from follow.config import CameraConfig, Config, resolve
-from follow.control.detector import Detector
 from follow.control.image_motion import ImageMotionMeter
 from follow.control.reach import why_out_of_reach
 from follow.control.selector import Selector
@@ -128,8 +128,7 @@ def check(command: RunCommand) -> None:
     elif not command.camera.startswith(SCENE) and command.ground is None and command.page is None:
         raise UsageError("what is to be followed? give --target x,y,w,h, or --page or --ground to point at it later")
     check_ground(command)
-    if command.detector is not None:
-        check_detector(command.detector)
+    check_detector(command.detector)
     if not command.link.startswith("mavsdk+"):
         parse_address(command.link)
     if is_live(command.camera):
@@ -146,14 +145,6 @@ def check(command: RunCommand) -> None:
         raise UsageError(f"there is no scene {name!r}; there are {', '.join(SCENARIOS)}")
     if name == command.camera or command.config.camera.down_deg is not None:  # else the angle depends on the autopilot
         height_line(command.config)
-
-
-def check_detector(path: Path) -> None:
-    """Raise UsageError for a detector that cannot be used."""
-    try:
-        Detector(path)
-    except (OSError, ValueError) as error:
-        raise UsageError(f"--detector: {error}") from None
 
 
 def check_waiver(name: str) -> None:
@@ -325,8 +316,8 @@ def fly_prepared(
     servo, safety = Servo(seen.down_rad, seen.config.servo), Safety(seen.config.limits)
     meter = ImageMotionMeter(seen.lens, seen.down_rad)
     with recent as camera, ThreadPoolExecutor(1, "click") as looks, contextlib.ExitStack() as open_sides:
-        snap = {} if command.detector is None else {"snap": Detector(command.detector).snap}
-        tracker = Selector(*flight.tracker, recent, operator.retarget, seen.target, looks, **snap)
+        detector, snap = open_detector(command.detector, open_sides)
+        tracker = Selector(*flight.tracker, recent, operator.retarget, seen.target, looks, snap)
         operator.forget = target.forget
         tracker.out_of_reach = partial(why_out_of_reach, target)
         if command.aim:
@@ -348,7 +339,7 @@ def fly_prepared(
             for take in sees:
                 take(tick)
 
-        fly(Parts(camera, link, tracker, target, servo, safety, meter), operator, see, command.seconds)
+        fly(Parts(camera, link, tracker, target, servo, safety, meter, detector), operator, see, command.seconds)
 
 
 def height_line(config: Config) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from follow.cli.commands import SimCommand, lens_of
+from follow.cli.detector import check_detector, simulated_detector
 from follow.cli.layers import from_scene
 from follow.cli.page import page_options
 from follow.cli.settings import as_toml
@@ -50,6 +51,7 @@ class FlightSpec:
     drawn: CameraConfig | None = None  # what is drawn where it is not what is believed: for tests of a wrong mount
     scene: frozenset[str] = frozenset()  # names of the settings that nobody chose: the scenario's own
     view: str | None = None  # where the flight is shown while it flies
+    detector: Path | None = None  # file of its network
 
     @property
     def name(self) -> str:
@@ -111,6 +113,7 @@ def simulate_into(flight: FlightSpec, terminal: Terminal, *, bar: bool) -> Flown
     about = f"# follow sim {flight.scenario}\n\n{scenario.about}; seed {flight.seed}, {flight.autopilot.value}"
     referee = Referee(camera)
     strip = Strip(scenario.duration_s)
+    detector = simulated_detector(flight.detector)
     tracker = acquire(flight.tracker, camera.first()[1])  # what may refuse a flight comes before its recording
     flown: Figures = {"scenario": flight.scenario, "seed": flight.seed, "autopilot": flight.autopilot.value}
     keep_other_flight(flight.out, flown, terminal)
@@ -126,7 +129,7 @@ def simulate_into(flight: FlightSpec, terminal: Terminal, *, bar: bool) -> Flown
             return box
 
         with link:
-            ticks = follow(camera, link, tracker, target, servo, safety, once(Order.FOLLOW), meter)
+            ticks = follow(camera, link, tracker, target, servo, safety, once(Order.FOLLOW), meter, detector)
             rounds = round(scenario.duration_s * max(scenario.frames_per_s, 30))
             if bar:
                 terminal.listeners.append(recorder.message)
@@ -170,6 +173,7 @@ def rounded(scored: FlightScore) -> Figures:
 def sim(command: SimCommand, settings_of: Callable[[str], Config], bare: Any) -> None:
     """`follow sim`; `settings_of` gives the settings to fly a scenario with, `bare` are they without any scenario."""
     terminal = Terminal()
+    check_detector(command.detector)
     if command.list:
         sys.stdout.write("".join(f"{name:<20} {s.about}\n" for name, s in SCENARIOS.items()))
     elif command.scenario not in SCENARIOS:
@@ -181,6 +185,7 @@ def sim(command: SimCommand, settings_of: Callable[[str], Config], bare: Any) ->
         out = command.out or OUT / command.scenario
         flight = FlightSpec(command.scenario, command.seed, autopilot, command.tracker, command.config, out)
         flight = replace(flight, scene=from_scene(command.scenario, command.config, bare), view=command.view)
+        flight = replace(flight, detector=command.detector)
         page = page_options(command.page, command.page_token)
         if page is not None:
             from follow.cli.sim_page import fly_watched  # noqa: PLC0415 - which imports this file
@@ -205,7 +210,10 @@ def sim_all(command: SimCommand, configs: Mapping[str, Config], bare: Any, termi
     ]
     out = command.out or OUT
     scenes = {name: from_scene(name, config, bare) for name, config in configs.items()}
-    flights = [replace(flight, out=out / flight.name, scene=scenes[flight.scenario]) for flight in flights]
+    flights = [
+        replace(flight, out=out / flight.name, scene=scenes[flight.scenario], detector=command.detector)
+        for flight in flights
+    ]
     flown = terminal.progress(each(simulate_quietly, flights, dask=command.dask), len(flights), "sim --all", "flights")
     done = sorted(flown, key=lambda f: (scenarios.index(f[0].scenario), f[0].autopilot.value, f[0].seed))
     summaries = [figures for _, figures in done]

@@ -2,11 +2,13 @@
 
 import time
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 from follow.camera.recent import RecentFrames
+from follow.cli.detector import open_detector
 from follow.cli.page import PageOptions, consoles_of, desk_of, open_page
 from follow.cli.settings import as_toml
 from follow.cli.sim import FlightSpec, Referee, believed_camera, scene_camera
@@ -67,10 +69,12 @@ def fly_in_real_time(flight: FlightSpec, exchange: Exchange, terminal: Terminal)
     operator = Operator(terminal.report)
     target = Target(lens, down_rad, config.target)
     recent = RecentFrames(camera)
-    with record(flight.out, config.record, terminal.report) as recorder, ThreadPoolExecutor(1, "click") as looks:
+    record_here = record(flight.out, config.record, terminal.report)
+    with record_here as recorder, ThreadPoolExecutor(1, "click") as looks, ExitStack() as open_sides:
         recorder.settings(as_toml(flight.config, config, flight.scene))
         terminal.listeners.append(recorder.message)
-        tracker = Selector(*tracker_parts, recent, operator.retarget, None, looks)
+        detector, snap = open_detector(flight.detector, open_sides)
+        tracker = Selector(*tracker_parts, recent, operator.retarget, None, looks, snap)
         operator.forget = target.forget
         tracker.out_of_reach = partial(why_out_of_reach, target)
         servo, safety = Servo(down_rad, config.servo), Safety(config.limits)
@@ -88,7 +92,7 @@ def fly_in_real_time(flight: FlightSpec, exchange: Exchange, terminal: Terminal)
                 link.advance(ROUND_S)
 
             meter = ImageMotionMeter(lens, down_rad)
-            fly(Parts(frames, link, tracker, target, servo, safety, meter), operator, see, pause=pause)
+            fly(Parts(frames, link, tracker, target, servo, safety, meter, detector), operator, see, pause=pause)
         terminal.listeners.remove(recorder.message)
         scored = referee.figures(referee.flown(), config)
         figures = recorder.close({"tracker": flight.tracker, **scored, **flown})

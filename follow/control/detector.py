@@ -6,40 +6,33 @@ Only OpenCV is needed.  Three shapes of output are read, as their exporters writ
 - YOLOv8 and later: (1, 4 + classes, cells), centre and size in input pixels, class scores;
 - SSD: (1, 1, boxes, 7), image, class, score, and the corners in shares of the input.
 
-A detector sees small targets badly, so it is shown a window round the click, enlarged to its input.
+A detector sees small targets badly, so it is shown a window round the click, enlarged to its input.  A whole image is
+looked at in squares of the image's shorter side.
 """
 
-import logging
-from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from follow.selection import Detection
 from racf.box import Box
-
-log = logging.getLogger(__name__)
 
 UInt8 = NDArray[np.uint8]
 Floats = NDArray[np.float32]
 
 WINDOW = 0.6  # side of the window in image heights: as large as those of follow.control.click
 LEAST_SCORE = 0.25  # usual in the three families for showing a box
+SAME_IOU = 0.5  # two boxes with a larger overlap are of one object: usual in the three families
+COVERED = 0.7  # a part of an object lies in the object's box with at least this fraction of its area
+MOST = 32  # objects in an image: a person cannot choose among more
 MARGIN = 0.2  # of a box's size: a finger misses a small target
 STRIDES = (8, 16, 32)  # of YOLOX
 USUAL_SIZE = 640  # of a network that takes any size
 GREY = 114  # what YOLOX and YOLOv8 pad with
 SSD_FIELDS = 7
 BYTES, VARINT, FIXED64, FIXED32 = 2, 0, 1, 5  # wire types of Protocol Buffers
-
-
-@dataclass(frozen=True, slots=True)
-class Detection:
-    """An object in the input's pixels, with a score of 0 to 1."""
-
-    box: Box
-    score: float
 
 
 class Detector:
@@ -55,29 +48,49 @@ class Detector:
             why = str(error) if isinstance(error, ValueError) else "OpenCV cannot run it"
             raise ValueError(f"the detector {path} cannot be used: {why}") from None
 
+    def find(self, image: UInt8) -> tuple[Detection, ...]:
+        """Every object in an image of (rows, columns[, 3]), BGR or grey, once, the likeliest first: at most `MOST`.
+
+        Raises ValueError if the network fails.
+        """
+        colour = in_colour(image)
+        rows, columns = colour.shape[:2]
+        whole: list[Detection] = []
+        cut_off: list[Detection] = []  # by the border of a square: the next square may show the whole object
+        for left, top, side in squares(rows, columns):
+            for found in self._look(colour, left, top, side):
+                (whole if is_inside(found.box, left, top, side, rows, columns) else cut_off).append(found)
+        kept = distinct(whole)
+        parts = [d for d in distinct(cut_off) if all(covered(d.box, k.box) < COVERED for k in kept)]
+        return tuple(sorted(kept + parts, key=lambda d: -d.score)[:MOST])
+
     def snap(self, image: UInt8, x: float, y: float) -> Box | None:
-        """The box of the likeliest object at a place in an image of (rows, columns[, 3]) in BGR; None without one."""
-        image = image if image.ndim == 3 else np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), np.uint8)
+        """The box of the likeliest object at a place in an image of (rows, columns[, 3]) in BGR; None without one.
+
+        Raises ValueError if the network fails.
+        """
         side = max(round(WINDOW * image.shape[0]), 16)
-        left, top = round(x - side / 2), round(y - side / 2)
-        window = cut(image, left, top, side)
-        scale = self._size / side
-        try:
-            found = self.detect(np.asarray(cv2.resize(window, (self._size, self._size)), np.uint8))
-        except (cv2.error, ValueError) as error:
-            log.warning("the detector failed: %s", " ".join(str(error).split()))
-            return None
-        at_x, at_y = (x - left) * scale, (y - top) * scale
-        there = [d for d in found if holds(d.box.scaled(1 + 2 * MARGIN), at_x, at_y)]
-        if not there:
-            return None
-        box = max(there, key=lambda d: d.score).box.zoomed(1 / scale)
-        return Box(box.x + left, box.y + top, box.w, box.h)
+        found = self._look(in_colour(image), round(x - side / 2), round(y - side / 2), side)
+        there = [d for d in found if holds(d.box.scaled(1 + 2 * MARGIN), x, y)]
+        return max(there, key=lambda d: d.score).box if there else None
+
+    def _look(self, image: UInt8, left: int, top: int, side: int) -> list[Detection]:
+        """The objects in a square of a colour image, in the image's pixels; the same one may come several times."""
+        window, scale = cut(image, left, top, side), self._size / side
+        how = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
+        square = np.asarray(cv2.resize(window, (self._size, self._size), interpolation=how), np.uint8)
+        found = ((d.box.zoomed(1 / scale), d.score) for d in self.detect(square))
+        return [Detection(Box(box.x + left, box.y + top, box.w, box.h), score) for box, score in found]
 
     def detect(self, square: UInt8) -> list[Detection]:
-        """Every object in a square BGR image of the input's size; the same object may come several times."""
-        factor = 1.0 / 255.0 if self._kind == "YOLOv8" else 1.0
-        output = self._forward(square, factor)
+        """Every object in a square BGR image of the input's size; the same object may come several times.
+
+        Raises ValueError if the network fails.
+        """
+        try:
+            output = self._forward(square, 1.0 / 255.0 if self._kind == "YOLOv8" else 1.0)
+        except cv2.error as error:
+            raise ValueError(" ".join(str(error).split())) from None
         if self._kind == "SSD":
             corners, scores = output.reshape(-1, SSD_FIELDS)[:, 3:] * self._size, output.reshape(-1, SSD_FIELDS)[:, 2]
             boxes = np.column_stack([corners[:, :2], corners[:, 2:] - corners[:, :2]])
@@ -125,6 +138,44 @@ def yolox(rows: Floats, size: int) -> tuple[Floats, Floats]:
     centres = (rows[:, :2] + np.concatenate(corners)) * stride
     sizes = np.exp(np.clip(rows[:, 2:4], -20.0, 20.0)) * stride
     return np.column_stack([centres, sizes]).astype(np.float32), rows[:, 4] * rows[:, 5:].max(axis=1)
+
+
+def squares(rows: int, columns: int) -> list[tuple[int, int, int]]:
+    """Left, top and side of squares of an image's shorter side that cover it, evenly spread along the longer one."""
+    side, length = min(rows, columns), max(rows, columns)
+    count = -(-length // side)
+    starts = [round(k * (length - side) / max(count - 1, 1)) for k in range(count)]
+    return [(start, 0, side) if columns >= rows else (0, start, side) for start in starts]
+
+
+def is_inside(box: Box, left: int, top: int, side: int, rows: int, columns: int) -> bool:
+    """Whether a box keeps away from the borders of a square, where they are not those of the image."""
+    near = side / 50
+    return (
+        (left <= 0 or box.x > left + near)
+        and (top <= 0 or box.y > top + near)
+        and (left + side >= columns or box.x + box.w < left + side - near)
+        and (top + side >= rows or box.y + box.h < top + side - near)
+    )
+
+
+def distinct(found: list[Detection]) -> list[Detection]:
+    """Each object once, by its likeliest box (non-maximum suppression)."""
+    if not found:
+        return []
+    corners = [(d.box.x, d.box.y, d.box.w, d.box.h) for d in found]
+    kept = cv2.dnn.NMSBoxes(corners, [d.score for d in found], LEAST_SCORE, SAME_IOU)
+    return [found[int(k)] for k in np.asarray(kept).ravel()]
+
+
+def covered(part: Box, whole: Box) -> float:
+    """Fraction of a box's area that another one covers."""
+    return part.intersection(whole) / part.area
+
+
+def in_colour(image: UInt8) -> UInt8:
+    """The image with three channels."""
+    return image if image.ndim == 3 else np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), np.uint8)
 
 
 def cut(image: UInt8, left: int, top: int, side: int) -> UInt8:

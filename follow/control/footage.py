@@ -5,6 +5,7 @@ from dataclasses import replace
 
 from follow.control.target import Target
 from follow.messages import Estimate, ImageMotion, VehicleState
+from follow.selection import Detections
 from racf.box import Box
 from racf.track import Track
 
@@ -26,7 +27,7 @@ class FootageTarget:
         self._moves_view = moves_view
         self._begin: VehicleState | None = None
 
-    def predict(self, state: VehicleState, t_s: float) -> Box | None:
+    def predict(self, state: VehicleState, t_s: float, found: Detections | None = None) -> Box | None:
         """Return None: the tracker searches around its last position."""
         return None
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from follow.control.candidates import Candidates
 from follow.control.ground import GroundSources, GroundTrust, Parallax
 from follow.control.image_motion import within
 from follow.control.joint_filter import (
@@ -29,6 +30,7 @@ from follow.control.regain import Candidate, PathDistance, Regain, distance_to_s
 from follow.geometry import Array, Intrinsics, camera_to_ned, project, rays, undistort, wrap
 from follow.messages import NEVER, Estimate, ImageMotion, VehicleState
 from follow.ranges import require_numbers
+from follow.selection import Detections
 from racf.box import Box
 from racf.track import Track
 
@@ -113,6 +115,7 @@ class Target:
     usual_psr: float = 0.0
     asked_t_s: float = NEVER
     looks: int = 0
+    candidates: Candidates = field(default_factory=Candidates)
     sources: GroundSources = field(default_factory=GroundSources)
     waiting: deque[tuple[float, Track]] = field(default_factory=lambda: deque[tuple[float, Track]](maxlen=16))
 
@@ -124,14 +127,15 @@ class Target:
     def forget(self) -> None:
         """Forget the target; the next box starts a new one."""
         self.filter, self.box, self.seen_t_s, self.asked_t_s = None, None, NEVER, NEVER
-        self.sources = GroundSources()
+        self.sources, self.candidates = GroundSources(), Candidates()
         self.regain, self.accepted, self.usual_psr = Regain(), 0, 0.0
         self.waiting.clear()
 
-    def predict(self, state: VehicleState, t_s: float) -> Box | None:
+    def predict(self, state: VehicleState, t_s: float, found: Detections | None = None) -> Box | None:
         """Return the box where the target should appear in the frame of `t_s`; None: search around the last one.
 
-        None also while a found target is not yet confirmed: the tracker must stay on it.
+        None also while a found target is not yet confirmed: the tracker must stay on it.  A lost target is looked for
+        where it should be in every second frame, in the others at what a detector `found`, and around.
         """
         self.observe(state)
         if self.filter is None or self.box is None or self.regain.frames > 0:
@@ -144,6 +148,10 @@ class Target:
                 return None  # a candidate that waits for the attitude of its frame
             self.looks += 1
             place = looked_for(f, self.seen_ned, self.looks)
+            if self.looks % 2 == 1 and found is not None and found.t_s > self.seen_t_s:
+                then = self.pose(state, found.t_s)
+                candidate = self.candidates.next(found, lambda box: self.sight(box, then), then, f, self.seen_ned)
+                place = place if candidate is None else candidate
         pixels, depth = project(self.camera, self.rotation(pose), pose.position_ned, place[None, :])
         if depth[0] <= 1.0:
             return None

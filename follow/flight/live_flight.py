@@ -19,7 +19,7 @@ from follow.flight.service import Service
 from follow.flight.vehicle_checks import check_sending, check_signing, check_simulator, check_vehicle
 from follow.link import Link
 from follow.link.connection import MavlinkLink
-from follow.loop import BoxTracker, Controller, ImageMeter, SetpointGate, TargetEstimator, follow
+from follow.loop import BoxTracker, Controller, ImageMeter, ObjectDetector, SetpointGate, TargetEstimator, follow
 from follow.messages import (
     HOVER,
     NO_INSTRUCTION,
@@ -100,6 +100,7 @@ class Parts:
     servo: Controller
     safety: SetpointGate
     meter: ImageMeter | None = None
+    detector: ObjectDetector | None = None
 
 
 def wait_a_round() -> None:
@@ -120,7 +121,7 @@ def fly(
     """
     p, service = parts, Service()
     camera = NewPictures(p.camera)
-    loop = follow(camera, p.link, p.tracker, p.target, p.servo, p.safety, operator, p.meter)
+    loop = follow(camera, p.link, p.tracker, p.target, p.servo, p.safety, operator, p.meter, p.detector)
     began_t_s: float | None = None
     why = "an error"
     with signals(operator), Keys() as keys:

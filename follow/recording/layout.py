@@ -17,6 +17,7 @@ from follow.messages import Mode
 
 GREEN, RED, YELLOW, GREY, BLUE = (80, 220, 100), (240, 70, 60), (250, 210, 60), (150, 150, 150), (90, 160, 255)
 ORANGE, PALE, DIM = (255, 150, 50), (110, 130, 150), (120, 120, 120)
+VIOLET = (190, 130, 255)
 DESIRED = [(150, 200, 255), (255, 205, 150), (190, 230, 190)]  # pale: the servo's; forward, right, down
 SENT = [(40, 110, 230), (230, 120, 20), (30, 150, 60)]  # saturated: what was sent
 MODE_COLOURS = {
@@ -59,7 +60,8 @@ def layout(play_state: Literal["paused", "playing", "following"] = "paused") -> 
     """Image, lanes and messages on the left; range, height and commands over time on the right, timings last."""
     left = rrb.Vertical(
         rrb.Spatial2DView(
-            origin="/image", name="Camera: target (green found, red lost), mask (blue), search (grey), truth (yellow)"
+            origin="/image",
+            name="Camera: target (green, red lost), mask (blue), search (grey), truth (yellow), detector (violet)",
         ),
         rrb.StateTimelineView(
             origin="/",

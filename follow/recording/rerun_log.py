@@ -18,9 +18,10 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from follow.messages import NEVER, Mode, Setpoint, Tick
-from follow.recording.layout import BLUE, GREEN, GREY, MODE_COLOURS, ORANGE, PALE, RED, YELLOW, describe, layout
+from follow.recording.layout import BLUE, GREEN, GREY, MODE_COLOURS, ORANGE, PALE, RED, VIOLET, YELLOW, describe, layout
 from follow.recording.rows import Desired, LoggedTick, held_by
 from follow.recording.video_encoder import Encoder, FrameEncoder, H264Encoder, Sample, encoder
+from follow.selection import Detections
 from racf.box import Box
 from racf.track import Track
 
@@ -30,7 +31,7 @@ RESPONSE_QUALITY = 80  # of JPEG: a smooth image
 RESPONSE_EVERY_S = 0.2  # response and mask change little from frame to frame
 MODE_LINE = re.compile(r"\d+\.\d s: (\w+)")  # how a change of mode is reported
 TIMED = re.compile(r"\d+\.\d s: ")  # a message that states the time of the flight itself
-DRAW_ORDER = {"image/search": 30.0, "image/truth": 31.0, "image/target": 32.0}
+DRAW_ORDER = {"image/found": 29.0, "image/search": 30.0, "image/truth": 31.0, "image/target": 32.0}
 """A later box covers an earlier one."""
 
 Colour = tuple[int, int, int]
@@ -84,6 +85,7 @@ class RerunRecording:
         self._curves: dict[str, tuple[list[float], list[float]]] = {}
         self._boxes: dict[str, list[tuple[float, Box | None, Colour, str]]] = {}
         self._stages: list[str] = []
+        self._found_t_s: float | None = None
         self._frame_t_s = self._response_t_s = self._curves_t_s = self._flush_t_s = NEVER
         if isinstance(frames, H264Encoder):
             self._recording.log("image", rr.VideoStream(codec=rr.VideoCodec.H264), static=True)
@@ -99,6 +101,7 @@ class RerunRecording:
         if tick.track is not None:
             self._track(tick.track, scene.t_s)
         self._box("image/truth", scene.t_s, scene.truth, YELLOW)
+        self._detections(tick.found, tick.state.t_s)
         self._controls(tick, scene.t_s)
         self._lanes(scene)
         self._new_notes(scene)
@@ -203,6 +206,22 @@ class RerunRecording:
         self._curve("track/confidence", t_s, track.confidence)
         self._curve("track/sharpness", t_s, track.psr, track.apce)
         self._state("tracker", "found" if track.found else "lost")
+
+    def _detections(self, found: Detections | None, t_s: float) -> None:
+        """Log what a detector found when it is new, with its age, and clear it when it is too old."""
+        at_s = None if found is None else found.t_s
+        if at_s == self._found_t_s:
+            return
+        self._found_t_s = at_s
+        objects = () if found is None else found.objects
+        age = "" if found is None else f"{t_s - found.t_s:.1f} s old"
+        boxes = rr.Boxes2D(
+            centers=[(d.box.centre_x, d.box.centre_y) for d in objects],
+            half_sizes=[(d.box.w / 2, d.box.h / 2) for d in objects],
+            colors=[VIOLET] * len(objects),
+            labels=[f"{d.score:.2f}, {age}" for d in objects],
+        )
+        self._recording.log("image/found", boxes)
 
     def _response(self, track: Track) -> None:
         log = self._recording.log

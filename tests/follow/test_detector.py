@@ -8,7 +8,7 @@ import pytest
 
 from follow.cli.commands import RunCommand
 from follow.cli.run import check
-from follow.control.detector import STRIDES, WINDOW, Detector, input_size
+from follow.control.detector import STRIDES, WINDOW, Detector, input_size, squares
 from follow.control.selector import meant
 from follow.selection import Selection
 from racf.box import Box
@@ -95,6 +95,44 @@ def test_numbers_that_are_no_box_or_no_score_are_left_out(bad, made):
     output[0, 2, 0] = bad if bad != 7.0 else 40.0
     output[0, 5, 0] = 0.9 if bad != 7.0 else bad
     assert len(made(output).detect(np.zeros((SIDE, SIDE, 3), np.uint8))) == 2
+
+
+def test_a_whole_image_is_looked_at_in_squares_and_each_object_comes_once(made):
+    """The network says the same of each square: three boxes in each of two, of which two are nearly the same."""
+    again = Box(61.0, 51.0, 40.0, 60.0), 0.6
+    found = made(yolov8([*OBJECTS, again])).find(IMAGE)
+    scale = 360 / SIDE
+    want = [
+        (Box(left + box.x * scale, box.y * scale, box.w * scale, box.h * scale), score)
+        for left in (0, 280)
+        for box, score in OBJECTS
+    ]
+    assert len(found) == len(want)
+    for detection, (_, score) in zip(found, sorted(want, key=lambda w: -w[1]), strict=True):
+        assert detection.score == pytest.approx(score, abs=1e-3)
+        assert max(detection.box.iou(b) for b, s in want if s == score) > 0.99
+
+
+def test_of_an_object_that_a_square_cuts_off_only_the_whole_box_is_left(made):
+    """Its left part is at the left border of the second square; the first one shows it whole."""
+    scale = 360 / SIDE
+    part, whole = Box(0.5, 40.0, 20.0, 60.0), Box(280 / scale - 8.0, 40.0, 30.0, 60.0)
+    boxes = [d.box for d in made(yolov8([(part, 0.8), (whole, 0.7)])).find(IMAGE)]
+    assert any(box.iou(whole.zoomed(scale)) > 0.97 for box in boxes)
+    assert not any(box.iou(part.zoomed(scale).moved(280, 0)) > 0.9 for box in boxes)
+    assert any(box.iou(part.zoomed(scale)) > 0.97 for box in boxes), "what the image's own border cuts stays"
+
+
+@pytest.mark.parametrize(("rows", "columns"), [(360, 640), (640, 360), (480, 480), (200, 1300), (1080, 1920)])
+def test_the_squares_cover_the_image_and_lie_in_it(rows, columns):
+    seen = np.zeros((rows, columns), bool)
+    for left, top, side in squares(rows, columns):
+        assert side == min(rows, columns)
+        assert left >= 0 <= top
+        assert left + side <= columns
+        assert top + side <= rows
+        seen[top : top + side, left : left + side] = True
+    assert seen.all()
 
 
 def test_a_click_beside_every_object_falls_back_to_what_stands_out(made):

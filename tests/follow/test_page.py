@@ -18,8 +18,9 @@ from follow.operator.page import windows
 from follow.operator.page.desk import ACTS, FRAMES
 from follow.operator.page.exchange import WAITING_ACTS, WAITING_STOPS, Act, Doing, Exchange, read_act
 from follow.operator.page.windows import BURST, WINDOWS, jpeg_of
-from follow.selection import KeptStandoff
-from tests.support.page_rig import PageRig
+from follow.selection import Detection, Detections, KeptStandoff
+from racf.box import Box
+from tests.support.page_rig import ROUND_S, PageRig
 
 
 @pytest.fixture
@@ -52,6 +53,24 @@ def test_a_selection_names_the_frame_that_it_was_drawn_on(rig):
         assert (chosen.frame_t_s, chosen.by) == (100.0 + 0.05 * frame, "page 1")
         window.until(lambda w: w.status["state"] == "TRACKING")
         assert window.status["would_fly"]
+
+
+def test_what_a_detector_found_is_shown_in_shares_of_the_image_with_its_age_until_it_is_too_old(rig):
+    with rig.window() as window:
+        window.until(lambda w: w.images and rig.n > 8)
+        assert window.images[-1][0]["found"] is None
+        rig.found = Detections(100.0 + ROUND_S * (rig.n - 6), rig.n - 6, (Detection(Box(64, 90, 32, 36), 0.8),))
+        window.until(lambda w: w.images[-1][0]["found"] is not None)
+        header = window.images[-1][0]
+        found = header["found"]
+        assert found["boxes"] == [[0.1, 0.25, 0.05, 0.1]]
+        assert found["frame"] == rig.found.index
+        assert found["age_s"] == pytest.approx(ROUND_S * (header["frame"] - found["frame"]), abs=0.01)
+        window.send(do="select", frame=found["frame"], box=found["boxes"][0])
+        assert window.replied() == [True, "target selected"]
+        assert rig.chosen[-1].frame_t_s == pytest.approx(rig.found.t_s), "it is drawn on the frame that was looked at"
+        rig.found = None
+        window.until(lambda w: w.images[-1][0]["found"] is None)
 
 
 def test_a_selection_of_a_frame_that_was_never_shown_or_long_ago_is_refused(rig):

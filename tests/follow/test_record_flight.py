@@ -19,6 +19,7 @@ from follow.recording.recorder import RecordConfig, Recorder
 from follow.recording.rows import COLUMNS, row
 from follow.recording.summary import Summary
 from follow.recording.video_encoder import Encoder
+from follow.selection import Detection, Detections
 from racf.box import Box
 from racf.track import Track
 
@@ -162,6 +163,25 @@ def test_what_is_not_a_number_is_empty():
     cells = dict(zip(COLUMNS, row(0, replace(beside, track=nothing)).strip().split(","), strict=True))
     assert (cells["track_psr"], cells["track_apce"]) == ("", "")
     assert cells["track_confidence"] == "0.9"
+
+
+def test_what_a_detector_found_is_recorded_with_its_age_and_cleared_when_it_is_too_old(tmp_path):
+    from rerun.chunk import RrdReader  # noqa: PLC0415
+
+    boxes = tuple(Detection(Box(10.0 * k, 5.0, 8.0, 20.0), 0.9 - k / 10) for k in range(2))
+    seen = {n: Detections(0.1, 3, boxes) for n in range(9, 15)} | {n: Detections(0.5, 15, boxes[:1]) for n in (18, 19)}
+    with Recorder(tmp_path, RecordConfig(), silent, waits=True) as recorder:
+        for n in range(22):
+            recorder.tick(replace(tick(n), found=seen.get(n)))
+    chunks = [c for c in RrdReader(tmp_path / "flight.rrd").stream() if not c.is_static]
+    batches = [c.to_record_batch() for c in chunks if c.entity_path == "/image/found"]
+    times = [time.value / 1e9 for batch in batches for time in batch.column("seconds")]
+    assert times == pytest.approx([9 / 30, 15 / 30, 18 / 30, 20 / 30], abs=1e-6), "when it is new, and when it is gone"
+    labels = [label or [] for batch in batches for label in batch.column("Boxes2D:labels").to_pylist()]
+    assert labels == [["0.90, 0.2 s old", "0.80, 0.2 s old"], [], ["0.90, 0.1 s old"], []]
+    sizes = [size or [] for batch in batches for size in batch.column("Boxes2D:half_sizes").to_pylist()]
+    assert sizes[0] == [[4.0, 10.0]] * 2
+    assert [len(size) for size in sizes] == [2, 0, 1, 0]
 
 
 def test_rerun_verifies_the_recording(tmp_path):

@@ -10,7 +10,7 @@ from follow.operator.consoles import CONFIRM_S, SPOTLIGHT, Consoles
 from follow.operator.page.exchange import Act, Doing, Exchange, Shown, number
 from follow.recording.rows import held_by
 from follow.safety.modes import FLYING, STREAMING
-from follow.selection import HOVER_HERE, Cleared, Selection, TrackingState, TrackingStatus
+from follow.selection import HOVER_HERE, Cleared, Detections, Selection, TrackingState, TrackingStatus
 
 ACTS = 4  # heeded in a round, besides every STOP: a flood must not delay a setpoint
 FRAMES = 256  # whose times are kept: more than a selection may name (2 s at 60 frames/s)
@@ -43,6 +43,18 @@ def headline(mode: Mode, wanted: str, tracking: TrackingState) -> tuple[str, str
     if mode in FLYING and wanted == HOVER_HERE:
         return "HOLDS", WARNS
     return STATES[mode]
+
+
+def detected(found: Detections | None, frame: Frame | None, t_s: float) -> dict[str, object] | None:
+    """A detector's boxes as the page draws them: shares of the image, with their frame's number and their age, s."""
+    if found is None or frame is None:
+        return None
+    rows, columns = frame.image.shape[:2]
+    boxes = [
+        [round(v, 4) for v in (b.x / columns, b.y / rows, b.w / columns, b.h / rows)]
+        for b in (detection.box for detection in found.objects)
+    ]
+    return {"frame": found.index, "age_s": number(t_s - found.t_s), "boxes": boxes}
 
 
 class PageDesk:
@@ -85,6 +97,7 @@ class PageDesk:
                 status.box if status is not None else None,
                 (status.state if status is not None else TrackingState.IDLE).value,
                 self._describe(tick),
+                detected(tick.found, self._frame, tick.state.t_s),
             )
         )
 

@@ -115,12 +115,16 @@ class NumberedLine:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shown:
-    """What the windows show after one round: the newest frame with its tracked box, and the status as JSON has it."""
+    """What the windows show after one round: the newest frame with its tracked box, and the status as JSON has it.
+
+    `found` is what a detector found, as JSON has it, None if there is nothing to tap on.
+    """
 
     frame: Frame | None
     box: tuple[float, float, float, float] | None
     tracking: str
     status: Mapping[str, object]
+    found: Mapping[str, object] | None = None
 
 
 STARTING = Shown(None, None, "idle", {"state": "STARTING", "tone": "calm", "why": "waiting for the vehicle"})

@@ -229,8 +229,9 @@ class Windows:
         """A frame as the page reads it: its header's length, the header, the JPEG."""
         if self._jpeg[0] is not frame:
             self._jpeg = frame, jpeg_of(frame.image)
-        header = json.dumps({"frame": frame.index, "box": shown.box, "tracking": shown.tracking}).encode()
-        return struct.pack(">H", len(header)) + header + self._jpeg[1]
+        header = {"frame": frame.index, "box": shown.box, "tracking": shown.tracking, "found": shown.found}
+        text = json.dumps(header).encode()
+        return struct.pack(">H", len(text)) + text + self._jpeg[1]
 
 
 def jpeg_of(image: NDArray[np.uint8]) -> bytes:

@@ -1,0 +1,163 @@
+"""A detector beside the loop: it gets the newest frame when it is free, and what it found comes when it is ready.
+
+The network runs in a process of its own, at the lowest priority, so that it delays no setpoint.  In a simulation, where
+nothing is late, what it found comes a stated time later, and the same flight gets the same detections.
+"""
+
+import logging
+import os
+import signal
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from concurrent.futures import TimeoutError as TookTooLong
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from pathlib import Path
+from types import TracebackType
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from typing_extensions import Self
+
+from follow.control.detector import Detector
+from follow.messages import Frame
+from follow.selection import DETECTIONS_S, Detection, Detections
+from racf.box import Box
+
+log = logging.getLogger(__name__)
+
+UInt8 = NDArray[np.uint8]
+Find = Callable[[UInt8], tuple[Detection, ...]]
+Answer = tuple[Detection, ...] | Box | str | None
+"""Of the process: what was found, the box of a click, or why the network failed."""
+
+PERIOD_S = 0.2  # between two frames that it gets, at least
+REST = 0.5  # of the time that it took for a frame, before it gets the next one: the board stays cool
+DELAY_S = 0.3  # in a simulation: two squares of 416 pixels take some 0.2 s of a core, and the camera is late also
+CLICK_S = 2.0  # longest wait of a click for its box
+NICEST = 19
+END_S = 2.0  # for the process to end
+
+
+def is_fresh(found: Detections | None, t_s: float) -> bool:
+    """Whether detections may still be shown and offered at `t_s`."""
+    return found is not None and t_s - found.t_s <= DETECTIONS_S
+
+
+class DelayedDetector:
+    """The detector of a simulation: `find` is called at once, and its answer is known `delay_s` later."""
+
+    def __init__(self, find: Find, delay_s: float = DELAY_S) -> None:
+        self._find, self._delay_s = find, delay_s
+        self._next_t_s = -float("inf")
+        self._coming: deque[tuple[float, Detections]] = deque()
+        self._found: Detections | None = None
+
+    def update(self, frame: Frame | None, t_s: float) -> Detections | None:
+        """Take in a round at `t_s` and its frame; what was found last, None if that is too old."""
+        if frame is not None and t_s >= self._next_t_s:
+            self._next_t_s = t_s + max(PERIOD_S, (1 + REST) * self._delay_s)
+            try:
+                found = Detections(frame.t_s, frame.index, self._find(frame.image))
+                self._coming.append((t_s + self._delay_s, found))
+            except ValueError as error:
+                log.warning("the detector failed: %s", error)
+        while self._coming and self._coming[0][0] <= t_s:
+            self._found = self._coming.popleft()[1]
+        return self._found if is_fresh(self._found, t_s) else None
+
+
+class DetectorProcess:
+    """The detector of a file, in a process of its own; use it in a `with` block.
+
+    `update` is the loop's and never waits; `snap` is for the thread that looks for a click's box.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._pipe, self._theirs = get_context("spawn").Pipe()
+        self._process = get_context("spawn").Process(target=serve, args=(path, self._theirs), daemon=True)
+        self._calls = ThreadPoolExecutor(1, "detector")
+        self._asked: tuple[Future[Answer], Frame, float] | None = None
+        self._next_t_s = -float("inf")
+        self._found: Detections | None = None
+        self._failure = ""
+
+    def update(self, frame: Frame | None, t_s: float) -> Detections | None:
+        """Take in a round at `t_s` and its frame; what was found last, None if that is too old."""
+        if self._asked is not None and self._asked[0].done():
+            (asked, looked_at, since_s), self._asked = self._asked, None
+            self._next_t_s = max(since_s + PERIOD_S, t_s + REST * (t_s - since_s))
+            answer = self._answer(asked)
+            if isinstance(answer, tuple):
+                self._found = Detections(looked_at.t_s, looked_at.index, answer)
+        if frame is not None and self._asked is None and t_s >= self._next_t_s and not self._has_ended:
+            self._asked = self._calls.submit(self._call, frame.image, None), frame, t_s
+        return self._found if is_fresh(self._found, t_s) else None
+
+    def snap(self, image: UInt8, x: float, y: float) -> Box | None:
+        """The box of the likeliest object at a place (pixels) of an image; None without one, or if that takes long."""
+        try:
+            answer = None if self._has_ended else self._answer(self._calls.submit(self._call, image, (x, y)))
+        except (RuntimeError, CancelledError):  # the flight ends
+            return None
+        return answer if isinstance(answer, Box) else None
+
+    @property
+    def _has_ended(self) -> bool:
+        return self._pipe.closed
+
+    def _call(self, image: UInt8, place: tuple[float, float] | None) -> Answer:
+        """Let the process look at an image, at a place only or everywhere; runs in the thread of `_calls`."""
+        self._pipe.send((image.shape, place))
+        self._pipe.send_bytes(np.ascontiguousarray(image).reshape(-1).data)
+        return self._pipe.recv()
+
+    def _answer(self, asked: "Future[Answer]") -> Answer:
+        """The answer of a call; None, and a line in the log if it is a new failure, for one that failed."""
+        try:
+            answer = asked.result(CLICK_S)
+        except TookTooLong:
+            return None
+        except (OSError, EOFError):
+            answer = "its process has ended"
+            self._pipe.close()
+        if not isinstance(answer, str):
+            self._failure = ""
+            return answer
+        if answer != self._failure:
+            self._failure = answer
+            log.warning("the detector failed: %s", answer)
+        return None
+
+    def __enter__(self) -> Self:
+        self._process.start()
+        self._theirs.close()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._process.terminate()  # a call that waits for it ends with EOFError
+        self._process.join(END_S)
+        self._calls.shutdown(wait=False, cancel_futures=True)
+
+
+def serve(path: Path, pipe: "Connection") -> None:
+    """The process: answers each image that comes through `pipe`, until the other side closes it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the loop, which ends this process
+    os.nice(NICEST)
+    cv2.setNumThreads(max((os.cpu_count() or 1) - 1, 1))  # a core for the loop
+    detector = Detector(path)
+    while True:
+        try:
+            shape, place = pipe.recv()
+            image = np.frombuffer(pipe.recv_bytes(), np.uint8).reshape(shape)
+        except EOFError:
+            return
+        try:
+            answer: Answer = detector.find(image) if place is None else detector.snap(image, *place)
+        except ValueError as error:
+            answer = str(error)
+        pipe.send(answer)

@@ -1,0 +1,172 @@
+"""A detector beside the loop: the loop never waits for it, what it found is as old as it says, and it may fail."""
+
+import logging
+import os
+import signal
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from follow.cli.detector import simulated_detector
+from follow.control.detecting import DELAY_S, NICEST, PERIOD_S, REST, DelayedDetector, DetectorProcess
+from follow.control.servo import Servo
+from follow.control.target import Target
+from follow.flight.session import acquire, once
+from follow.loop import follow
+from follow.messages import Autopilot, Frame, Order
+from follow.safety.gate import Safety
+from follow.selection import DETECTIONS_S, Detection
+from racf.box import Box
+from racf.commandline import UsageError
+from sim.scenarios import SCENARIOS, build
+from tests.follow.test_detector import IMAGE, OBJECTS, yolov8
+from tests.support.onnx_files import network
+
+ROUND_S = 1 / 30
+BLIND_S = 0.7, 2.0
+
+
+@pytest.fixture
+def file(tmp_path):
+    path = tmp_path / "network.onnx"
+    path.write_bytes(network(yolov8(OBJECTS)))
+    return path
+
+
+def frame(n: int) -> Frame:
+    return Frame(IMAGE, n * ROUND_S, n)
+
+
+def test_in_a_simulation_an_answer_comes_its_delay_later_and_names_its_frame():
+    asked, came = [], {}
+
+    def find(_image):
+        asked.append(n)
+        return (Detection(Box(float(n), 0.0, 1.0, 1.0), 0.5),)
+
+    detector = DelayedDetector(find)
+    for n in range(90):
+        found = detector.update(frame(n), n * ROUND_S)
+        if found is not None and found.index not in came:
+            came[found.index] = n * ROUND_S - found.t_s
+            assert found.objects[0].box.x == found.index
+    assert list(came) == asked[: len(came)]
+    assert all(DELAY_S - 1e-9 <= late < DELAY_S + ROUND_S + 1e-9 for late in came.values())
+    gaps = np.diff(asked) * ROUND_S
+    assert gaps.min() >= max(PERIOD_S, (1 + REST) * DELAY_S) - 1e-9
+    assert gaps.max() < 0.5 + 1e-9, "two frames a second at least"
+
+
+def test_what_is_too_old_vanishes():
+    detector = DelayedDetector(lambda _image: ())
+    detector.update(frame(0), 0.0)
+    times = [n * ROUND_S for n in range(60)]
+    known = [t for t in times if detector.update(None, t) is not None]
+    assert known == [t for t in times if DELAY_S <= t <= DETECTIONS_S]
+
+
+def test_a_network_that_fails_is_told_and_the_simulation_goes_on(caplog):
+    def fails(_image):
+        raise ValueError("no such layer")
+
+    detector = DelayedDetector(fails)
+    assert all(detector.update(frame(n), n * ROUND_S) is None for n in range(60))
+    assert caplog.messages[0] == "the detector failed: no such layer"
+
+
+def until(detector, n=0, seconds=30.0):
+    """Rounds as fast as they go, at simulated times, until something is found; the detections and the next round."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        found = detector.update(frame(n), n * ROUND_S)
+        if found is not None:
+            return found, n + 1
+        n += 1
+        os.sched_yield()
+    raise AssertionError("nothing was found")
+
+
+def test_the_process_finds_what_the_detector_finds_and_its_click_gets_the_same_box(file):
+    direct = simulated_detector(file)
+    direct.update(frame(0), 0.0)
+    with DetectorProcess(file) as detector:
+        box = detector.snap(IMAGE, 320, 200)
+        started = time.monotonic()
+        assert detector.update(frame(0), 0.0) is None
+        assert time.monotonic() - started < 5.0, "it does not wait for the network"
+        while detector.update(None, 0.0) is None:
+            os.sched_yield()
+        found = detector.update(None, 0.0)
+        assert (found.t_s, found.index) == (0.0, 0)
+        assert found.objects == direct.update(None, DELAY_S).objects
+        assert detector.update(None, DETECTIONS_S + 0.1) is None
+        process = detector._process
+        assert os.getpriority(os.PRIO_PROCESS, process.pid) == NICEST
+        os.kill(process.pid, signal.SIGINT)  # a Ctrl-C for the whole group is the loop's
+        assert detector.snap(IMAGE, 320, 200) == box
+        assert box is not None
+    assert not process.is_alive()
+
+
+def test_a_process_that_dies_is_told_once_and_the_flight_goes_on(file, caplog):
+    with caplog.at_level(logging.WARNING), DetectorProcess(file) as detector:
+        _, n = until(detector)
+        detector._process.kill()
+        detector._process.join()
+        for k in range(n, n + 3000):
+            detector.update(frame(k), k * ROUND_S)
+            if caplog.messages:
+                break
+            time.sleep(0)
+        assert detector.update(frame(k + 60), (k + 60) * ROUND_S) is None
+        assert detector.snap(IMAGE, 320, 200) is None
+    assert caplog.messages == ["the detector failed: its process has ended"]
+
+
+def test_a_network_that_fails_in_the_process_is_told_once_and_it_works_again_afterwards(file, caplog):
+    with DetectorProcess(file) as detector:
+        bad = np.zeros((4, 4, 2), np.uint8)  # an image of no known kind
+        assert detector.snap(bad, 1, 1) is None
+        assert detector.snap(bad, 1, 1) is None
+        assert detector.snap(IMAGE, 320, 200) is not None
+    assert len([m for m in caplog.messages if m.startswith("the detector failed: ")]) == 1
+
+
+class BlindAWhile:
+    """A tracker that finds nothing from BLIND_S[0] to BLIND_S[1], so that what is found acts on the flight."""
+
+    def __init__(self, tracker):
+        self._tracker, self._n = tracker, 0
+
+    def update(self, image, prior=None):
+        self._n += 1
+        track = self._tracker.update(image, prior)
+        return replace(track, found=not BLIND_S[0] <= self._n * ROUND_S < BLIND_S[1])
+
+
+def flown(path):
+    """Each round's box and setpoint, in a flight with the detector of a file."""
+    scenario = replace(SCENARIOS["walker"], duration_s=BLIND_S[1] + 0.3)
+    camera, link, _ = build(scenario, 0, Autopilot.PX4)
+    lens, down_rad = camera.settings.intrinsics, camera.settings.down_rad
+    tracker = BlindAWhile(acquire("racf--", camera.first()[1]))
+    parts = Target(lens, down_rad), Servo(down_rad), Safety()
+    ticks = follow(camera, link, tracker, *parts, once(Order.FOLLOW), detector=simulated_detector(path))
+    return [(tick.track and tick.track.box, tick.decision.setpoint, tick.estimate) for tick in ticks]
+
+
+def test_the_same_detector_gives_the_same_flight_and_one_that_finds_nothing_gives_that_without(tmp_path):
+    nothing, something = tmp_path / "nothing.onnx", tmp_path / "something.onnx"
+    nothing.write_bytes(network(yolov8([])))
+    something.write_bytes(network(yolov8(OBJECTS)))
+    bare, with_it = flown(None), flown(something)
+    assert flown(nothing) == bare
+    assert flown(something) == with_it
+    assert [box for box, *_ in with_it] != [box for box, *_ in bare], "what was found was looked at"
+
+
+def test_a_simulation_with_a_file_that_is_no_detector_is_refused(tmp_path):
+    with pytest.raises(UsageError, match="No such file"):
+        simulated_detector(tmp_path / "none.onnx")
