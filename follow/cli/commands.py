@@ -31,6 +31,12 @@ def require_system_id(system_id: int | None) -> None:
         raise ValueError(f"--system-id lies in 1..255, not {system_id}")
 
 
+def require_delay(ground_delay_s: float) -> None:
+    """Raise ValueError for the age of an image that is no longer kept."""
+    if not 0 <= ground_delay_s <= 1.5:
+        raise ValueError(f"--ground-delay-s lies in 0..1.5, not {ground_delay_s:g}: older images are not kept")
+
+
 def require_standoff(config: Config) -> None:
     """Raise ValueError for a stand-off that the gate does not let the servo reach."""
     standoff_m, least_m = config.servo.standoff_m, config.limits.min_standoff_m
@@ -107,6 +113,15 @@ class SimCommand:
     Default: no page."""
     page_token: Path | None = None
     """File of the page's token. Default: a new one, printed, for an address that others reach; none on loopback."""
+    ground: str | None = None
+    """Ground station, udpin:HOST:PORT: a camera in which it selects the target, in real time. Default: none."""
+    video_out: str | None = None
+    """Video for the ground: rtp://HOST:5600, or rtsp://SERVER:8554/PATH to push it there; `none`. Default: RTP to port
+    5600 of each ground station that is heard at --ground."""
+    ground_delay_s: float = 0.3
+    """Age of the image that a person at the ground station sees, s."""
+    ground_follows: bool = False
+    """A box drawn at the ground station orders FOLLOW at once. Default: it is tracked, and FOLLOW is ordered apart."""
     out: Path | None = None
     """Output folder: flight.rrd, ticks.csv, settings.toml, summary.json and flight.png; with --all one folder for each
     flight, and all.txt. Default: out/sim/SCENARIO, with --all out/sim."""
@@ -126,8 +141,13 @@ class SimCommand:
             raise ValueError(f"--seeds is 1 or more, not {self.seeds}")
         if self.dask is not None and not self.all:
             raise ValueError("--dask needs --all: a single flight runs here")
-        if self.all and self.page is not None:
-            raise ValueError("--page shows one flight: leave out --all")
+        if self.all and (self.page is not None or self.ground is not None):
+            raise ValueError("--page and --ground show one flight: leave out --all")
+        if self.ground is not None and not self.ground.startswith("udpin:"):
+            raise ValueError(f"--ground of a simulated vehicle is udpin:HOST:PORT, not {self.ground!r}")
+        if self.ground is None and (self.ground_follows or (self.video_out is not None and self.page is None)):
+            raise ValueError("--ground-follows needs --ground, --video-out needs --ground or --page: give one")
+        require_delay(self.ground_delay_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,8 +233,7 @@ class RunCommand:
             parse_trims(self.stick_trims)
         if not 0 <= self.seconds < math.inf:
             raise ValueError(f"--seconds is 0 or more, not {self.seconds:g}")
-        if not 0 <= self.ground_delay_s <= 1.5:
-            raise ValueError(f"--ground-delay-s lies in 0..1.5, not {self.ground_delay_s:g}: older images are not kept")
+        require_delay(self.ground_delay_s)
         if self.seed < 0:
             raise ValueError(f"--seed is 0 or more, not {self.seed}")
 

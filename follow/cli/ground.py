@@ -1,26 +1,71 @@
-"""The ground station's side of `follow run`: the camera that it points in, and the video that it shows."""
+"""The ground station's side of `follow run` and `follow sim`: the camera that it points in, the video that it shows."""
 
 import contextlib
 import math
 import os
+import time
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
+from typing import Protocol
 
 from follow.cli.commands import RunCommand
+from follow.config import Config
 from follow.geometry import Intrinsics
 from follow.link import LinkError
 from follow.link.connection import MavlinkLink
+from follow.link.packets import Message
+from follow.link.signing import Signing
 from follow.link.transports import Reach, open_transport, parse_address, reach_of
 from follow.messages import Notify, Tick
 from follow.operator.consoles import Consoles
-from follow.operator.ground import DirectSide, GroundSide
+from follow.operator.ground import CarriesPackets, DirectSide, GroundSide, LoneVehicle
 from follow.operator.ground_camera import GroundCamera
-from follow.operator.told import PilotTexts
+from follow.operator.told import PilotTexts, TextLink
 from follow.operator.video_out import VideoAddress, VideoOut, description_of, parse_video
 from racf.commandline import UsageError
 
 LINK = "link"  # --ground: behind the autopilot
 NO_VIDEO = "none"  # --video-out: none, also if a ground station is heard
+
+
+class GroundCommand(Protocol):
+    """What a command says of the ground station; RunCommand and SimCommand do."""
+
+    @property
+    def ground(self) -> str | None: ...  # noqa: D102 - as their options' help says
+    @property
+    def video_out(self) -> str | None: ...  # noqa: D102
+    @property
+    def ground_delay_s(self) -> float: ...  # noqa: D102
+    @property
+    def page(self) -> str | None: ...  # noqa: D102
+    @property
+    def config(self) -> Config: ...  # noqa: D102
+
+
+@dataclass(frozen=True, slots=True)
+class Carrier:
+    """What carries the ground's messages beside the direct side: the autopilot's link, or nothing (`lone`)."""
+
+    link: CarriesPackets
+    pilot: TextLink
+    system_id: int
+    signing: Signing | None = None
+    listen: Callable[[Callable[[Message, float], object]], object] = lambda _hear: None
+    clock: Callable[[], float] = time.monotonic
+    lone: LoneVehicle | None = None
+
+
+def carried_by(link: MavlinkLink) -> Carrier:
+    """The autopilot's link as the carrier."""
+    client = link.client
+    return Carrier(link, client, client.vehicle_id or 1, client.packets.signing, link.listeners.append)
+
+
+def carried_alone(clock: Callable[[], float]) -> Carrier:
+    """No autopilot: a simulated vehicle that speaks for itself; `clock` has the loop's time."""
+    vehicle = LoneVehicle()
+    return Carrier(vehicle, vehicle, vehicle.system_id, clock=clock, lone=vehicle)
 
 
 def check_ground(command: RunCommand) -> None:
@@ -56,7 +101,7 @@ def is_same_place(link: str, ground: str) -> bool:
     return number == other and (len(hosts) == 1 or (kind == "udpin" and "0.0.0.0" in hosts))
 
 
-def video_address(command: RunCommand) -> VideoAddress | None:
+def video_address(command: GroundCommand) -> VideoAddress | None:
     """Where the video goes, None for nowhere: by default to the ground stations that talk to us directly."""
     if command.video_out is None:
         is_direct = command.ground is not None and command.ground.startswith("udp")
@@ -71,22 +116,22 @@ def video_address(command: RunCommand) -> VideoAddress | None:
 
 @contextlib.contextmanager
 def ground_sides(
-    command: RunCommand, link: MavlinkLink, lens: Intrinsics, consoles: Consoles, report: Notify
+    command: GroundCommand, carrier: Carrier, lens: Intrinsics, consoles: Consoles, report: Notify
 ) -> Generator[list[Callable[[Tick], object]], None, None]:
     """What takes each tick for the ground: its camera if --ground names one, else the pilot's texts, and the video."""
     with contextlib.ExitStack() as stack:
         sees: list[Callable[[Tick], object]] = []
         address, video = video_address(command), None
         if address is not None:
-            video = VideoOut(address, command.config.video, report)
+            video = VideoOut(address, command.config.video, report, carrier.clock)
             stack.callback(video.close)
             sees.append(video.see)
         if command.ground is not None:
-            ground = ground_side(command, link, lens, consoles, address, video)
+            ground = ground_side(command, carrier, lens, consoles, address, video)
             stack.callback(ground.close)
             sees.append(ground.see)
-        elif command.page is not None:
-            texts = PilotTexts(link.client)
+        elif command.page is not None and carrier.lone is None:
+            texts = PilotTexts(carrier.pilot)
             consoles.tell = texts.say
             sees.append(texts.see)
         if video is not None:
@@ -95,26 +140,26 @@ def ground_sides(
 
 
 def ground_side(
-    command: RunCommand,
-    link: MavlinkLink,
+    command: GroundCommand,
+    carrier: Carrier,
     lens: Intrinsics,
     consoles: Consoles,
     address: VideoAddress | None,
     video: VideoOut | None,
 ) -> GroundSide:
     """The ground stations of this flight: behind the autopilot, and directly at the address that was given."""
-    signing = link.client.packets.signing
+    signing = carrier.signing
     direct = DirectSide(open_transport(command.ground), signing) if command.ground not in (None, LINK) else None
     size, stream = (lens.width, lens.height), None
     if address is not None:
         stream = description_of(address, command.config.video, size, math.degrees(lens.horizontal_fov_rad))
     camera = GroundCamera(size, consoles.choose, stream, command.ground_delay_s, signing)
-    camera.address(link.client.vehicle_id or 1)
+    camera.address(carrier.system_id)
     heard = video.hear_stations if video is not None else None
-    texts = PilotTexts(link.client)
+    texts = PilotTexts(carrier.pilot)
     consoles.tell = texts.say
-    ground = GroundSide(link, camera, consoles, texts, direct, heard)
-    link.listeners.append(ground.hear)
+    ground = GroundSide(carrier.link, camera, consoles, texts, direct, heard, carrier.lone)
+    carrier.listen(ground.hear)
     return ground
 
 

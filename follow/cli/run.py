@@ -23,7 +23,7 @@ from follow.camera.sizes import shrink_for, whole
 from follow.camera.video import open_replay
 from follow.cli.commands import RunCommand, box_in, box_of, lens_of
 from follow.cli.detector import check_detector, open_detector
-from follow.cli.ground import check_ground, ground_sides
+from follow.cli.ground import carried_by, check_ground, ground_sides
 from follow.cli.layers import SCENE, from_scene
 from follow.cli.page import consoles_of, desk_of, open_page, page_options
 from follow.cli.settings import as_toml, scene_values
@@ -329,7 +329,7 @@ def fly_prepared(
             sees.append(consoles.see)
         if command.stick_trims is not None:
             sees.append(StickTrims(parse_trims(command.stick_trims), consoles, link.client.heard).see)
-        sees += open_sides.enter_context(ground_sides(command, link, seen.lens, consoles, report))
+        sees += open_sides.enter_context(ground_sides(command, carried_by(link), seen.lens, consoles, report))
         if exchange is not None:
             charge = link.client.heard.charge_percent
             desk = desk_of(exchange, consoles, command.out, is_dry=command.dry_run, charge=charge)

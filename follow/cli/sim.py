@@ -187,10 +187,10 @@ def sim(command: SimCommand, settings_of: Callable[[str], Config], bare: Any) ->
         flight = replace(flight, scene=from_scene(command.scenario, command.config, bare), view=command.view)
         flight = replace(flight, detector=command.detector)
         page = page_options(command.page, command.page_token)
-        if page is not None:
+        if page is not None or command.ground is not None:
             from follow.cli.sim_page import fly_watched  # noqa: PLC0415 - which imports this file
 
-            fly_watched(flight, page, command.page_token, as_json=command.json)
+            fly_watched(command, flight, page)
             return
         flown = simulate(flight, terminal, bar=True)
         finished, failure = flown.finished, flown.failure

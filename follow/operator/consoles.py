@@ -35,6 +35,7 @@ SPOTLIGHT = "spotlight"
 DRAWN_S = 10.0  # a box drawn within this time is what the person means; an older one is confirmed
 CONFIRM_S = 15.0  # CONFIRM answers a proposal that is not older
 SELECT_EVERY_S = 0.3  # a flood of selections must not keep the tracker from its work
+UNSEEN_S = 1.0  # a target that was not seen for longer is proposed with that word
 SILENT_S = 10.0  # a commander that was not heard for this long no longer commands
 STANDOFF_STEP, STANDOFF_RANGE = 1.15, (0.5, 2.5)  # factor of one press, and the least and the greatest of all
 RAISE_STEP_RAD, RAISE_RANGE = (
@@ -307,11 +308,12 @@ class Consoles:
         if self.tick is None:
             return "no estimate yet"
         seen = self.tick.estimate
-        height_m = seen.range_m * math.tan(seen.depression_rad)
+        height_m, unseen_s = seen.range_m * math.tan(seen.depression_rad), self.tick.state.t_s - seen.seen_t_s
+        unseen = f"not seen for {unseen_s:.0f} s, " if unseen_s > UNSEEN_S else ""
         mode = self.flown_mode or self.set_mode
         kept = self.kept()
         at = f"{kept.standoff_m:.0f} m, as {kept.why}" if kept.why else f"{self.standoff_m:.0f} m"
-        return f"{seen.range_m:.0f} m away, {height_m:.0f} m above it; {mode} at {at}"
+        return f"{unseen}{seen.range_m:.0f} m away, {height_m:.0f} m above it; {mode} at {at}"
 
 
 def shown(tick: Tick, before: TrackingStatus) -> TrackingStatus:

@@ -8,13 +8,15 @@ from collections import deque
 from collections.abc import Callable
 from typing import Protocol
 
+from pymavlink.dialects.v20 import common as dialect
+
 from follow.link.identity import Source
 from follow.link.packets import Message, Packets
 from follow.link.signing import Signing
 from follow.link.transports import Transport
-from follow.messages import NEVER, Tick
+from follow.messages import NEVER, Tick, VehicleState
 from follow.operator.consoles import Consoles
-from follow.operator.ground_camera import GroundCamera
+from follow.operator.ground_camera import HEARTBEAT_EVERY_S, TEXT_LENGTH, GroundCamera
 from follow.operator.told import PilotTexts
 
 READ = 300  # a few microseconds each; 9000 a second
@@ -29,6 +31,44 @@ class CarriesPackets(Protocol):
     def write(self, packets: list[bytes]) -> None:
         """Send packets as they are."""
         ...
+
+
+class LoneVehicle:
+    """A vehicle that no autopilot speaks for, as of `follow sim`: its heartbeat, and the pilot's texts and figures.
+
+    A ground station needs a vehicle to show its camera.  This one answers nothing and has no parameters.
+    """
+
+    def __init__(self, system_id: int = 1) -> None:
+        self.system_id = system_id
+        self._vehicle, self._texts = Packets(system_id, 1), Packets(system_id, 191)
+        self._beat_t_s = NEVER
+        self._out: list[bytes] = []
+
+    def write(self, packets: list[bytes]) -> None:
+        """Nobody is behind it."""
+
+    def tell(self, text: str, severity: int) -> None:
+        """Queue a STATUSTEXT for the pilot."""
+        words = text.encode("ascii", "replace")[:TEXT_LENGTH]
+        self._out.append(self._texts.write(dialect.MAVLink_statustext_message(severity, words)))
+
+    def tell_value(self, name: str, value: float, t_s: float) -> None:
+        """Queue a NAMED_VALUE_FLOAT; `name` has at most 10 letters."""
+        boot_ms = round(t_s * 1e3) & 0xFFFFFFFF
+        message = dialect.MAVLink_named_value_float_message(boot_ms, name.encode("ascii")[:10], value)
+        self._out.append(self._texts.write(message))
+
+    def take(self, state: VehicleState) -> list[bytes]:
+        """What it says in this round."""
+        if state.t_s - self._beat_t_s >= HEARTBEAT_EVERY_S:
+            self._beat_t_s = state.t_s
+            armed = dialect.MAV_MODE_FLAG_SAFETY_ARMED if state.armed else 0
+            generic, active = dialect.MAV_AUTOPILOT_GENERIC, dialect.MAV_STATE_ACTIVE
+            beat = dialect.MAVLink_heartbeat_message(dialect.MAV_TYPE_QUADROTOR, generic, armed, 0, active, 3)
+            self._out.append(self._vehicle.write(beat))
+        out, self._out = self._out, []
+        return out
 
 
 class DirectSide:
@@ -91,7 +131,8 @@ class DirectSide:
 class GroundSide:
     """The camera that ground stations point in, and what the pilot is told; `see` takes each tick.
 
-    `heard` is called with the addresses of the stations that are heard directly, each round.
+    `heard` is called with the addresses of the stations that are heard directly, each round; `lone` is the vehicle
+    where no autopilot speaks for it.
     """
 
     def __init__(
@@ -102,9 +143,10 @@ class GroundSide:
         texts: PilotTexts,
         direct: DirectSide | None = None,
         heard: Callable[[tuple[str, ...]], object] | None = None,
+        lone: LoneVehicle | None = None,
     ) -> None:
         self._link, self._camera, self._consoles, self._texts, self._direct = link, camera, consoles, texts, direct
-        self._heard = heard
+        self._heard, self._lone = heard, lone
         self._waiting: deque[tuple[Message, float]] = deque(maxlen=HEEDED)  # the newest count: STOP follows a flood
 
     def hear(self, message: Message, t_s: float) -> None:
@@ -128,7 +170,7 @@ class GroundSide:
         packets = self._camera.take()
         self._link.write(packets)
         if self._direct is not None:
-            self._direct.write(packets)
+            self._direct.write([*packets, *self._lone.take(tick.state)] if self._lone is not None else packets)
 
     def close(self) -> None:
         """Close the direct side."""

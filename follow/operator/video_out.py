@@ -6,6 +6,7 @@ does not.
 
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from statistics import median
@@ -97,10 +98,15 @@ def description_of(
 
 
 class VideoOut:
-    """Takes each tick with `see` and sends its frame; `send_to` names the ground stations that are heard now."""
+    """Takes each tick with `see` and sends its frame; `send_to` names the ground stations that are heard now.
 
-    def __init__(self, address: VideoAddress, config: VideoConfig, report: Notify) -> None:
-        self._address, self._config = address, config
+    `clock` has the time of the frames.
+    """
+
+    def __init__(
+        self, address: VideoAddress, config: VideoConfig, report: Notify, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._address, self._config, self._clock = address, config, clock
         self._hosts: tuple[str, ...] = ()
         self._next_t_s = NEVER
         self._status = NOTHING
@@ -151,7 +157,7 @@ class VideoOut:
         if about is not None:
             image = drawn(image, about)
         if stream.show(image, t_s):
-            self._delays.append(time.monotonic() - t_s)
+            self._delays.append(self._clock() - t_s)
 
     def close(self) -> None:
         """End the stream."""

@@ -14,7 +14,7 @@ from follow.messages import HOVER, Decision, Estimate, Frame, Mode, Order, Tick,
 from follow.operator.authority import Operator
 from follow.operator.consoles import CONFIRM_S, DRAWN_S, SILENT_S, ConsoleCommand, Consoles
 from follow.operator.told import TEXT_EVERY_S, PilotTexts
-from follow.selection import AS_SET, HOVER_HERE, Cleared, KeptStandoff, Selection, TrackingState
+from follow.selection import AS_SET, HOVER_HERE, Cleared, KeptStandoff, Selection, TrackingState, Wanted
 from racf.box import Box
 from racf.commandline import UsageError
 from racf.track import Track
@@ -225,6 +225,44 @@ def test_nobody_on_an_open_network_chooses_a_target_unless_allowed_or_orders_fol
     for follows, unsigned in ((False, False), (True, False), (True, True)):
         with pytest.raises(UsageError, match="must not choose the target or order FOLLOW"):
             check(replace(command, ground="udpin:0.0.0.0:5", ground_follows=follows, ground_unsigned=unsigned))
+
+
+def test_a_ground_station_that_vanishes_while_it_commands_changes_nothing_and_frees_the_command():
+    desk = Desk()
+    desk.draw(GROUND)
+    desk.at(1.0, Mode.READY)
+    assert desk.order("follow", GROUND).done
+    assert desk.ordered() == [Order.FOLLOW]
+    wanted = desk.consoles.wanted
+    for k in range(1, 400):  # 20 s in which it is not heard
+        t_s = 1.0 + 0.05 * k
+        desk.at(t_s, Mode.FOLLOW)
+        reply = desk.order("farther", PAGE) if k in (20, 180) else None
+        assert reply is None or "commands: hand over" in reply.words
+        assert desk.consoles.wanted == wanted
+        assert desk.ordered() == []
+    assert t_s > 1.0 + SILENT_S
+    assert desk.order("farther", PAGE).done, "the next console that orders commands"
+    desk.order("stop", GROUND)
+    assert desk.ordered() == [Order.OBSERVE], "who comes back can still stop"
+
+
+@pytest.mark.parametrize("mode", [Mode.COAST, Mode.SEARCH, Mode.HOLD])
+def test_while_the_target_is_lost_another_can_be_chosen_and_an_old_one_is_confirmed(mode):
+    desk = Desk()
+    desk.draw()
+    desk.at(1.0, Mode.READY)
+    assert desk.order("follow").done
+    desk.ordered()
+    desk.at(1.0 + DRAWN_S + 2.0, mode)
+    assert desk.order("follow").words.startswith("CONFIRM: ")
+    assert desk.ordered() == [], "nothing is flown before CONFIRM"
+    assert desk.order("confirm").done
+    assert desk.ordered() == ([Order.FOLLOW] if mode is Mode.HOLD else []), "in HOLD the gate needs the order again"
+    assert desk.draw() == ""
+    assert desk.consoles.wanted == Wanted(mode="spotlight"), "who is chosen in flight is looked at"
+    assert desk.ordered() == []
+    assert desk.order("follow").done, "drawn a moment ago"
 
 
 @pytest.mark.parametrize(

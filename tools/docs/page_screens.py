@@ -4,11 +4,12 @@
 
 Needs Playwright (`pip install playwright`, in any environment that also holds this project's requirements) and a
 Chromium (`apt install chromium`).  A desktop window and a phone's are open: the image updates, a dragged box selects,
-the phone only watches, FOLLOW flies, CONFIRM is demanded for an old box, STOP on the phone stops.  Exits 1 at the first
-thing that is not so.
+the phone only watches, FOLLOW flies, CONFIRM is demanded for an old box, STOP on the phone stops, floods of taps are
+sent, and at last the page's thread dies while the vehicle follows.  Exits 1 at the first thing that is not so.
 """
 
 import argparse
+import csv
 import re
 import signal
 import subprocess
@@ -23,6 +24,7 @@ import cv2
 
 DOCS = Path(__file__).parents[2] / "docs"
 PHONE = {"viewport": {"width": 360, "height": 740}, "device_scale_factor": 2.0, "has_touch": True, "is_mobile": True}
+WITHOUT_S = 6.0  # flown on without the page
 DESKTOP = {"viewport": {"width": 1280, "height": 800}}
 
 
@@ -53,6 +55,14 @@ FIND_WALKER = """() => {  // left, top, right, bottom of the blue shirt in fract
   }
   const at = (values, part) => values.sort((a, b) => a - b)[Math.floor(part * (values.length - 1))];
   return xs.length < 20 ? null : [at(xs, .02) / w, at(ys, .02) / h, at(xs, .98) / w, at(ys, .98) / h];
+}"""
+
+
+FLOOD = """async seconds => {  // 1000 taps a second, all over the image
+  for (const end = performance.now() + 1000 * seconds; performance.now() < end;) {
+    for (let n = 0; n < 20; n++) send({ do: "select", frame: shownFrame, box: [Math.random(), Math.random(), 0, 0] });
+    await new Promise(go => setTimeout(go, 20));
+  }
 }"""
 
 
@@ -119,8 +129,41 @@ def fly(desk: Any, phone: Any, shots: Path) -> None:
     time.sleep(6.0)
     phone.screenshot(path=shots / "phone_follows.png")
     phone.screenshot(path=shots / "phone_whole.png", full_page=True)
+    desk.evaluate(FLOOD, 3.0)
+    until("a flood of taps in a window that watches changes nothing", lambda: state(phone) == "FOLLOWING", 0.0)
+    until("the box is still on the walker", lambda: is_on_walker(phone), 1.0)
     desk.keyboard.press("Escape")
     until("Esc stops", lambda: state(phone) == "STOPPED", 3.0)
+    time.sleep(12.0)  # the pilot has brought the vehicle back
+    phone.evaluate(FLOOD, 3.0)
+    phone.tap("#stop")
+    until("STOP acts behind a flood of taps of its own window", lambda: state(phone) == "STOPPED", 3.0)
+
+
+def end_the_page(desk: Any, phone: Any, flight: subprocess.Popen[str], shots: Path) -> None:
+    """Follow, and let the page's thread die in the program: the flight must not notice."""
+    phone.click("#hand-over")
+    drag(desk)
+    until("the desktop selects again", lambda: not desk.is_disabled("#follow"))
+    desk.click("#follow")
+    until("it follows", lambda: state(desk) == "FOLLOWING")
+    time.sleep(2.0)
+    flight.send_signal(signal.SIGUSR2)
+    until("the windows show that the page is gone", lambda: state(desk) == state(phone) == "NO CONNECTION", 10.0)
+    desk.screenshot(path=shots / "no_connection.png")
+    time.sleep(WITHOUT_S)
+
+
+def as_it_was(folder: Path) -> None:
+    """The flight's rows: it followed on without the page, without a pause, until the program was ended."""
+    with (folder / "ticks.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    while rows[-1]["mode"] != "follow":
+        rows.pop()  # how it left the vehicle
+    end_s = float(rows[-1]["t_s"])
+    without = [row for row in rows if float(row["t_s"]) > end_s - WITHOUT_S]
+    until("it followed on without the page", lambda: {row["mode"] for row in without} == {"follow"}, 0.0)
+    until("every round sent a setpoint", lambda: all(row["setpoint_forward_m_s"] for row in without), 0.0)
 
 
 def sheet(shots: Path) -> None:
@@ -138,7 +181,6 @@ def sheet(shots: Path) -> None:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--chromium", default="/usr/bin/chromium")
-    parser.add_argument("--follow", default=str(Path(sys.executable).with_name("follow")), help="the program `follow`")
     parser.add_argument("--address", default="127.0.0.1:8088")
     parser.add_argument("--out", type=Path, default=Path("out/page"))
     options = parser.parse_args()
@@ -146,7 +188,17 @@ def main() -> int:
 
     options.out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
-        words = [options.follow, "sim", "walker", "--page", options.address, "--out", f"{folder}/now"]
+        words = [
+            sys.executable,
+            "-m",
+            "tests.support.page_killer",
+            "sim",
+            "walker",
+            "--page",
+            options.address,
+            "--out",
+            f"{folder}/now",
+        ]
         flight = subprocess.Popen(words, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
         try:
             url = next(found[1] for line in flight.stderr or () if (found := re.search(r"page: (\S+)", line)))
@@ -158,11 +210,14 @@ def main() -> int:
                     page.on("pageerror", lambda error: wrong.append(str(error)))
                     page.goto(url)
                 fly(desk, phone, options.out)
+                end_the_page(desk, phone, flight, options.out)
                 browser.close()
                 until(f"no error in the page {wrong}", lambda: not wrong, 0.0)
         finally:
             flight.send_signal(signal.SIGTERM)
-            flight.communicate(timeout=60.0)
+            _, said = flight.communicate(timeout=60.0)
+        until("the program says that the page has ended", lambda: "the page has ended" in said, 0.0)
+        as_it_was(Path(folder) / "now")
     sheet(options.out)
     return flight.returncode
 

@@ -5,7 +5,7 @@ from collections import deque
 from collections.abc import Callable
 
 from follow.geometry import heading_to_ned
-from follow.messages import NEVER, Estimate, Frame, Mode, Tick, VehicleState
+from follow.messages import NEVER, Cause, Estimate, Frame, Mode, Tick, VehicleState
 from follow.operator.consoles import CONFIRM_S, SPOTLIGHT, Consoles
 from follow.operator.page.exchange import Act, Doing, Exchange, Shown, number
 from follow.recording.rows import held_by
@@ -34,10 +34,16 @@ STATES = {
 """The state in large letters, in each mode of the gate."""
 
 
+SELECT = "SELECT A TARGET"
+TO_SELECT = "drag a box around it in the image, or tap it; nothing is sent to the vehicle yet"
+UNSELECTED = (Cause.STARTED, Cause.NOT_SEEN)
+"""Causes that say no more than that nothing is selected."""
+
+
 def headline(mode: Mode, wanted: str, tracking: TrackingState) -> tuple[str, str]:
     """The state in large letters and its tone; `wanted` is the mode that a person wants."""
     if mode in (Mode.OBSERVE, Mode.READY, Mode.ENDED) and tracking is TrackingState.IDLE:
-        return ("STOPPED" if mode is Mode.ENDED else "SELECT A TARGET"), CALM
+        return ("STOPPED" if mode is Mode.ENDED else SELECT), CALM
     if mode is Mode.FOLLOW and wanted == SPOTLIGHT:
         return "SPOTLIGHT", GOOD
     if mode in FLYING and wanted == HOVER_HERE:
@@ -145,7 +151,7 @@ class PageDesk:
             "state": f"{words} {self._suffix}".rstrip(),
             "tone": tone,
             "mode": decision.mode.value,
-            "why": str(decision.reason),
+            "why": TO_SELECT if words == SELECT and decision.reason.cause in UNSELECTED else str(decision.reason),
             "streams": decision.mode in STREAMING,
             "vehicle": state.mode or "no known mode",
             "armed": state.armed,

@@ -127,7 +127,7 @@ class Shown:
     found: Mapping[str, object] | None = None
 
 
-STARTING = Shown(None, None, "idle", {"state": "STARTING", "tone": "calm", "why": "waiting for the vehicle"})
+STARTING = Shown(None, None, "idle", {"state": "STARTING", "tone": "calm", "why": "the messages say what it waits for"})
 
 
 class Exchange:
