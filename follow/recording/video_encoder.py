@@ -28,8 +28,8 @@ RATE_HZ = 30  # nominal; the time stamps say when a frame was taken
 CRF = 27  # libx264's constant quality: 36 dB over the whole image (benchmarks/recording_size.py)
 BOX_OFFSET = -0.25  # of the quantiser's range, inside the target's box: 39 dB there for 3 % more bytes
 BOX_MARGIN_PX = 8  # half a macroblock, so that the box's edge has the box's quality
-USUAL_PX, USUAL_BITS_S = 640 * 360, 850_000  # 6.4 MB a minute at most
-LARGER_POWER = 0.68  # of larger images, which hold less detail per pixel: 2.2 Mbit/s, 16 MB a minute, for 1280x720
+USUAL_PX, USUAL_BITS_S = 640 * 360, 600_000  # 4.5 MB a minute at most; the other rows take up to 3.3
+LARGER_POWER = 0.7  # of larger images, which hold less detail per pixel: 1.6 Mbit/s, 12 MB a minute, for 1280x720
 
 
 class Encoder(str, Enum):

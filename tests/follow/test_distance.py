@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from follow.messages import HOVER, Cause, Estimate, Mode, Order, Setpoint
 from follow.safety.distance import (
+    DRIFT_M_S,
     NOTICE_S,
     SPRINT_M_S,
     SPRINT_STANDOFF_M,
@@ -177,6 +178,20 @@ def test_an_origin_that_moves_before_anything_is_remembered_moves_nothing():
     safety.allow(HOVER, seen(0.0), flying(0.0, resets=1, reset_north_m=5.0), 0.0)
     assert safety.gate.resets == 1
     assert safety.gate.fence_centre is None or safety.gate.fence_centre[0] != 5.0
+
+
+@given(st.floats(-3, 3), st.floats(0, 100), st.floats(0, 30), st.floats(-7, 7), st.floats(-0.5, 0.5), st.floats(0, 6.3))
+def test_a_drift_towards_the_target_is_taken_off(azimuth, away, height, toward, drift, course):
+    """The position, which moves by velocity and drift, closes in no faster than without one; it needs the height."""
+    north, east = -toward * math.cos(azimuth), -toward * math.sin(azimuth)
+    still = replace(seen(0.0), azimuth_rad=azimuth, range_m=away, north_m_s=north, east_m_s=east)
+    drifting = replace(still, drift_north_m_s=drift * math.cos(course), drift_east_m_s=drift * math.sin(course))
+    state = flying(0.0, down_m=-height)
+    without, target = worst(still, state, LIMITS), worst(drifting, state, LIMITS)
+    closes = closing_speed(target, LIMITS) + drift * math.cos(course - azimuth)
+    assert closes <= max(closing_speed(without, LIMITS), -LIMITS.speed_m_s + DRIFT_M_S) + 1e-9
+    assert closing_speed(target, LIMITS) <= closing_speed(without, LIMITS)
+    assert needed_above_m(target, state, LIMITS) >= needed_above_m(without, state, LIMITS)
 
 
 def test_far_above_the_target_only_the_clear_distance_limits_the_closing_speed():

@@ -287,7 +287,7 @@ def test_disk_room_is_told(tmp_path):
 
 def test_the_disk_is_reckoned_from_the_frames_and_the_flight(tmp_path, monkeypatch):
     needed = doctor.flight_bytes((640, 360), RecordConfig(), 600.0)
-    assert needed == pytest.approx(10 * 9.1e6, rel=0.05)  # 6.4 MB a minute of frames, 2.7 of the rest
+    assert needed == pytest.approx(10 * 7.8e6, rel=0.05)  # 4.5 MB a minute of frames, 3.3 of the rest
     assert doctor.flight_bytes((1280, 720), RecordConfig(encoder=Encoder.JPEG), 600.0) > 20 * needed
     for free, verdict in ((0.9, Health.RED), (1.5, Health.WARN), (3.5, Health.OK)):
         usage = SimpleNamespace(free=free * needed)
