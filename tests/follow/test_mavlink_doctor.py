@@ -294,7 +294,7 @@ def test_the_disk_is_reckoned_from_the_frames_and_the_flight(tmp_path, monkeypat
         monkeypatch.setattr(doctor.shutil, "disk_usage", lambda _path, usage=usage: usage)
         finding = doctor.check_disk(tmp_path, (640, 360), RecordConfig(), 600.0)
         assert finding.verdict is verdict
-        assert "10 min at 640x360 take 0.09 GB" in finding.text
+        assert "10 min at 640x360 take 0.08 GB" in finding.text
 
 
 class Slideshow:
