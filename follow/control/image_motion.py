@@ -45,6 +45,7 @@ LEAST_HEIGHT_M = 1.0  # below it the ground is too near for the parallax to be l
 LEAST_FALL = 0.05  # sine of the depression of the feet: flatter rays say nothing of the height
 FAR_M = 300.0  # ground farther away than this moves by rotation only
 NEAR_DEPTH = 0.35  # ground within this fraction of the feet's distance counts as the ground around the target
+PLANE = 0.12  # of their translation: corners whose RMS difference is larger are not one plane (ground: 0.02 to 0.1)
 NEAR_CORNERS = 4  # corners there below which the parallax says nothing of the height
 HEIGHT_NOISE_RAD = math.radians(0.2)  # error shared by an interval's corners: of the attitude between its frames
 HEIGHT_LEAST_RAD = 0.008  # rms translation there below which it says nothing either: twice that error
@@ -189,7 +190,9 @@ class ImageMotionMeter:
         t believed / h, so h = believed sum(t . t) / sum(t . left).  Its relative variance is the sum of two: of `left`
         (attitude, jitter of the frames' times, corners) over the translation that is seen, and of the vehicle's
         velocity over its translation.  The third number is the deviation by the velocity alone, which successive
-        measurements share.  (inf, inf, 0) when there is no box, or too little to see.
+        measurements share.  (inf, inf, 0) when there is no box, too little to see, or when the corners do not move as
+        those of one level plane do: by more than `PLANE`, or a wall that faces the camera explains them better.  Its
+        points lie one distance ahead, so their motion is t times the ray's ahead / down.
         """
         believed_m = self.ground_down_m - before.down_m
         if tracked.box_before is None or believed_m < LEAST_HEIGHT_M:
@@ -197,8 +200,9 @@ class ImageMotionMeter:
         box = tracked.box_before
         rotation = camera_to_ned(self.down_rad, before.roll_rad, before.pitch_rad, before.yaw_rad)
         pixels = tracked.before[known]
-        down = (rays(self.camera, pixels) @ rotation.T)[:, 2]
-        feet_down = float((rays(self.camera, [(box.centre_x, box.y + box.h)]) @ rotation.T)[0, 2])
+        ray = rays(self.camera, pixels) @ rotation.T
+        feet = rays(self.camera, [(box.centre_x, box.y + box.h)])[0] @ rotation.T
+        down, feet_down = ray[:, 2], float(feet[2])
         # The ray's fall tells the distance of flat ground: d = h / fall.
         near = (np.abs(feet_down / np.maximum(down, 1e-6) - 1.0) < NEAR_DEPTH) & ~goes_along(left, t, went)
         if feet_down <= LEAST_FALL or np.count_nonzero(near) < NEAR_CORNERS:
@@ -206,11 +210,13 @@ class ImageMotionMeter:
         t, left = t[near], left[near]
         w = weights(left, t, np.zeros_like(t))
         tt, lt = mean_product(w, t, t), mean_product(w, left, t)
-        if lt < 0.1 * tt or lt * lt < tt * (HEIGHT_LEAST_RAD * self.camera.fx) ** 2:
+        if lt <= 0.1 * tt or lt * lt < tt * (HEIGHT_LEAST_RAD * self.camera.fx) ** 2:
             return NO_HEIGHT
-        off = left - lt / tt * t
+        off_px2, wall_px2 = residual(w, left, t), residual(w, left, t * (ray[:, :2] @ feet[:2] / down)[near, None])
+        if off_px2 > min(wall_px2, max(PLANE**2 * lt * lt / tt, HUBER_PX**2)):
+            return NO_HEIGHT
         jitter_px2 = sum(mean_product(w, j, t) ** 2 / tt for j in self.jittered(pixels[near], before, after))
-        left_px2 = (HEIGHT_NOISE_RAD * self.camera.fx) ** 2 + jitter_px2 + mean_product(w, off, off) / len(t)
+        left_px2 = (HEIGHT_NOISE_RAD * self.camera.fx) ** 2 + jitter_px2 + off_px2 / len(t)
         seen = left_px2 * tt / lt**2
         flown_px = self.camera.fx * SPEED_NOISE_M_S * (after.t_s - before.t_s) * feet_down / believed_m
         flown = flown_px**2 / tt
@@ -331,6 +337,13 @@ def weights(m: Array, r: Array, t: Array) -> Array:
 def mean_product(w: Array, u: Array, v: Array) -> float:
     """The weighted mean over corners of the dot products of two (N, 2) motions, px²."""
     return float(np.sum(w * np.sum(u * v, axis=1)) / max(float(np.sum(w)), 1e-9))
+
+
+def residual(w: Array, u: Array, v: Array) -> float:
+    """The weighted mean square of what no multiple of v explains of u, (N, 2) motions, px²."""
+    vv, uv = mean_product(w, v, v), mean_product(w, u, v)
+    off = u - uv / max(vv, 1e-12) * v
+    return mean_product(w, off, off)
 
 
 def solve(rr: float, rt: float, tt: float, mr: float, mt: float) -> tuple[float, float]:

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from follow.control.image_motion import FEWEST, ImageMotionMeter, corners, goes_along, shrunk_grey, solve
-from follow.geometry import Intrinsics, camera_to_ned, ground_points
+from follow.geometry import Intrinsics, camera_to_ned, ground_points, rays
 from follow.messages import Frame, ImageMotion, VehicleState
 from follow.safety.consistency import Consistency, box_gain, whole_gain
 from racf.box import Box
@@ -222,6 +222,51 @@ def test_no_height_is_told_over_ground_that_was_flown_unheard(again_s):
     assert any(m.from_t_s > 1.0 and m.t_s < again_s for m in motions), "the image is judged all the same"
     assert not any(m.t_s > 1.0 and m.from_t_s < again_s for m in told)
     assert all(abs(m.height_m - 8.0) < 3 * m.height_std_m for m in told)
+
+
+def stepped(s: VehicleState, edge_m: float, step_m: float, beyond_m: float = 1e3):
+    """The ground, and on it a block `step_m` high from `edge_m` to `beyond_m` north: a wall with a roof.
+
+    Of each pixel's ray the nearest of three is seen: the ground, the roof where the block is, and the wall's face
+    toward the vehicle, whose texture is that of the ground turned up.
+    """
+    rotation = camera_to_ned(DOWN_RAD, s.roll_rad, s.pitch_rad, s.yaw_rad)
+    columns, rows = np.meshgrid(np.arange(LENS.width) + 0.5, np.arange(LENS.height) + 0.5)
+    ray = rays(LENS, np.stack([columns.ravel(), rows.ravel()], axis=1)) @ rotation.T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        fall = np.where(ray[:, 2] > 0.0, ray[:, 2], np.nan)
+        ground, roof = -s.down_m / fall, (-s.down_m - step_m) / fall
+        wall = (edge_m - s.north_m) / ray[:, 0]
+        over, up = s.north_m + roof * ray[:, 0], -s.down_m - wall * ray[:, 2]
+    roof = np.where((over > edge_m) & (over < beyond_m) & (roof > 0), roof, np.nan)
+    wall = np.where((up > 0) & (up < step_m) & (wall > 0), wall, np.nan)
+    seen = np.fmin(np.fmin(ground, roof), wall)
+    at = s.north_m + seen * ray[:, 0] + np.where(seen == wall, up, 0.0), s.east_m + seen * ray[:, 1]
+    texels = np.clip(np.nan_to_num([800 + at[1] / M_PER_TEXEL, 800 - at[0] / M_PER_TEXEL], nan=-9), -9, 1700)
+    map_x, map_y = texels.reshape(2, LENS.height, LENS.width).astype(np.float32)
+    return cv2.remap(TEXTURE, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=200)
+
+
+@pytest.mark.parametrize("step_m", [2.5, 5.0])
+@pytest.mark.parametrize("edge_m", [8.0, 11.0, 14.0, 17.0])
+@pytest.mark.parametrize("thick_m", [0.3, 1e3])
+def test_corners_on_a_wall_or_at_a_roofs_edge_tell_no_height(step_m, edge_m, thick_m):
+    """The vehicle flies 6 m towards a block; the feet are 11 m ahead.  What is told is a height over one plane.
+
+    That plane is the ground, or the roof where it is large enough to stand on.
+    """
+    see = lambda s: stepped(s, edge_m, step_m, edge_m + thick_m)  # noqa: E731
+    motions = flown(flying, 2.0, see=see, box=lambda _t: Box(150, 60, 12, 40))
+    planes = (8.0, 8.0 - step_m) if thick_m > 1.0 else (8.0,)
+    for m in motions:
+        if math.isfinite(m.height_std_m):
+            assert min(abs(m.height_m - plane) for plane in planes) < 1.5 * m.height_std_m
+
+
+def test_a_vehicle_that_hangs_exactly_still_is_told_no_height():
+    motions = flown(lambda _t: {}, 1.0, box=lambda _t: Box(150, 60, 12, 40))
+    assert motions
+    assert all(math.isinf(m.height_std_m) for m in motions)
 
 
 def test_a_vehicle_that_only_turns_is_told_no_height():
