@@ -39,5 +39,6 @@ def disobeying(now: Response, state: VehicleState, limits: Limits) -> Reason | N
     """The reason to stop if the velocity has differed for `disobey_after_s`."""
     if now.since_s is None or state.t_s - now.since_s < limits.disobey_after_s:
         return None
-    flown = math.hypot(state.north_m_s, state.east_m_s, state.down_m_s)
-    return Reason(Cause.NOT_OBEYING, f"{flown:.1f} m/s instead of {math.hypot(*now.expected):.1f} m/s")
+    flown = state.north_m_s, state.east_m_s, state.down_m_s
+    off, speed = math.dist(flown, now.expected), math.hypot(*now.expected)
+    return Reason(Cause.NOT_OBEYING, f"its velocity is {off:.1f} m/s off the {speed:.1f} m/s that it should have")

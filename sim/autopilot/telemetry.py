@@ -166,8 +166,10 @@ def _home_position(flight: AutopilotCore, t_s: float) -> Message:
 
 
 def _gps_global_origin(flight: AutopilotCore, t_s: float) -> Message:
+    """Where the estimator's zero lies: above the ground of the start by its datum."""
     lat, lon, alt = ORIGINS[flight.autopilot]
-    return dialect.MAVLink_gps_global_origin_message(round(lat * 1e7), round(lon * 1e7), round(alt * 1000), us(t_s))
+    height_mm = round((alt + flight.datum_down_m) * 1000)
+    return dialect.MAVLink_gps_global_origin_message(round(lat * 1e7), round(lon * 1e7), height_mm, us(t_s))
 
 
 def _vfr_hud(flight: AutopilotCore, _t_s: float) -> Message:

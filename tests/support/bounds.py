@@ -56,6 +56,7 @@ STALE_FRAME_S = LIMITS.frame_age_s
 STALE_POSITION_S = LIMITS.position_age_s
 STALE_HEARTBEAT_S = LIMITS.heartbeat_age_s + HEARTBEAT_S / 4  # it comes four times a second, as requested
 REMOTE_TOLD_S = 2.0 + 0.5  # the row's autopilot says so after 2 s; SYS_STATUS comes twice a second
+LANDED_TOLD_S = 0.5  # EXTENDED_SYS_STATE comes twice a second, as requested
 SILENT_S = round(HEARTBEAT_S + 2 * ROUND_S, 1)
 """A mode that somebody else chose is known after PX4's own heartbeat, a packet's way and a round of the loop."""
 STICK_SEEN_S = round(1.0 + 3 * RC_S + 2 * ROUND_S, 1)
@@ -77,6 +78,7 @@ def coast(speed_m_s: float) -> Stop:
 STOPS = {
     "stale frame, attitude or telemetry": stop(RUN_M_S, STALE_FRAME_S),
     "stale position": stop(RUN_M_S, STALE_POSITION_S),
+    "on the ground, it says": stop(RUN_M_S, LANDED_TOLD_S),
     "stale heartbeat": stop(RUN_M_S, STALE_HEARTBEAT_S),
     "setpoints lost: the autopilot's failsafe": stop(RUN_M_S, STREAM_LOSS_S),
     "remote control lost": stop(RUN_M_S, REMOTE_TOLD_S),

@@ -6,6 +6,7 @@ from tests.support.fault_rows_camera import CAMERA_ROWS, OTHER_PERSON_ROWS
 from tests.support.fault_rows_image import IMAGE_ROWS
 from tests.support.fault_rows_motion import MOTION_ROWS
 from tests.support.fault_rows_people import AUTHORITY_ROWS, DISTANCE_ROWS
+from tests.support.fault_rows_together import TOGETHER_ROWS
 
 LOCKSTEP_ROWS: tuple[Row, ...] = (
     *ROWS,
@@ -15,5 +16,6 @@ LOCKSTEP_ROWS: tuple[Row, ...] = (
     *IMAGE_ROWS,
     *CAMERA_ROWS,
     *OTHER_PERSON_ROWS,
+    *TOGETHER_ROWS,
 )
 NAMES = tuple(row.name for row in (*LOCKSTEP_ROWS, *PROCESS_ROWS))
