@@ -1,6 +1,7 @@
 """A detector that a person brings as an ONNX file: a click becomes the box of the object at that place.
 
-Only OpenCV is needed.  Three shapes of output are read, as their exporters write them without non-maximum suppression:
+OpenCV runs it, or else ONNX Runtime if that is installed.  Three shapes of output are read, as their exporters write
+them without non-maximum suppression:
 
 - YOLOX: (1, cells, 5 + classes), offsets and log sizes in cells of 8, 16 and 32 pixels, objectness, class scores;
 - YOLOv8 and later: (1, 4 + classes, cells), centre and size in input pixels, class scores;
@@ -16,6 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from follow.control.onnx_engines import Run, has_onnx_runtime, with_onnx_runtime, with_opencv
 from follow.selection import Detection
 from racf.box import Box
 
@@ -42,11 +44,10 @@ class Detector:
         data = path.read_bytes()
         self._size = input_size(data) or USUAL_SIZE
         try:
-            self._net = cv2.dnn.readNetFromONNX(np.frombuffer(data, np.uint8))
-            self._kind = kind_of(self._forward(np.full((self._size, self._size, 3), GREY, np.uint8), 1.0), self._size)
-        except (cv2.error, ValueError) as error:
-            why = str(error) if isinstance(error, ValueError) else "OpenCV cannot run it"
-            raise ValueError(f"the detector {path} cannot be used: {why}") from None
+            self._run, output = started(data, np.full((1, 3, self._size, self._size), GREY, np.float32))
+            self._kind = kind_of(output, self._size)
+        except ValueError as error:
+            raise ValueError(f"the detector {path} cannot be used: {error}") from None
 
     def find(self, image: UInt8) -> tuple[Detection, ...]:
         """Every object in an image of (rows, columns[, 3]), BGR or grey, once, the likeliest first: at most `MOST`.
@@ -87,10 +88,9 @@ class Detector:
 
         Raises ValueError if the network fails.
         """
-        try:
-            output = self._forward(square, 1.0 / 255.0 if self._kind == "YOLOv8" else 1.0)
-        except cv2.error as error:
-            raise ValueError(" ".join(str(error).split())) from None
+        factor = 1.0 / 255.0 if self._kind == "YOLOv8" else 1.0
+        blob = cv2.dnn.blobFromImage(square, factor, swapRB=factor != 1.0)  # YOLOX takes BGR, YOLOv8 RGB
+        output = self._run(np.asarray(blob, np.float32))
         if self._kind == "SSD":
             corners, scores = output.reshape(-1, SSD_FIELDS)[:, 3:] * self._size, output.reshape(-1, SSD_FIELDS)[:, 2]
             boxes = np.column_stack([corners[:, :2], corners[:, 2:] - corners[:, :2]])
@@ -103,10 +103,22 @@ class Detector:
         pairs = zip(boxes[good], scores[good], strict=True)
         return [Detection(Box(*map(float, box)), float(score)) for box, score in pairs]
 
-    def _forward(self, square: UInt8, factor: float) -> Floats:
-        blob = cv2.dnn.blobFromImage(square, factor, swapRB=factor != 1.0)  # YOLOX takes BGR, YOLOv8 RGB
-        self._net.setInput(blob)
-        return np.asarray(self._net.forward(), np.float32)
+
+def started(model: bytes, blank: Floats) -> tuple[Run, Floats]:
+    """A network that runs, and its output for a blank image: OpenCV's or, if that fails, ONNX Runtime's.
+
+    Raises ValueError if neither runs it.
+    """
+    try:
+        run = with_opencv(model)
+        return run, run(blank)
+    except ValueError as error:
+        if not has_onnx_runtime():
+            raise ValueError(
+                f"OpenCV cannot run it ({str(error)[:200]}); install ONNX Runtime: pip install 'follow-me[detector]'"
+            ) from None
+    run = with_onnx_runtime(model)
+    return run, run(blank)
 
 
 def kind_of(output: Floats, size: int) -> str:

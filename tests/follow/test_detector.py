@@ -1,6 +1,8 @@
 """A detector in an ONNX file: its three shapes of output give the same boxes, and a click becomes the box there."""
 
+import sys
 from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -8,12 +10,13 @@ import pytest
 
 from follow.cli.commands import RunCommand
 from follow.cli.run import check
+from follow.control import detector
 from follow.control.detector import STRIDES, WINDOW, Detector, input_size, squares
 from follow.control.selector import meant
 from follow.selection import Selection
 from racf.box import Box
 from racf.commandline import UsageError
-from tests.support.onnx_files import field, network, value
+from tests.support.onnx_files import field, network, node, value
 
 SIDE = 160
 CELLS = sum((SIDE // stride) ** 2 for stride in STRIDES)
@@ -82,11 +85,11 @@ def test_a_click_becomes_the_likeliest_box_at_its_place_in_the_images_pixels(fam
 
 
 def test_at_the_images_edge_and_in_grey_it_works_as_well(made):
-    detector = made(yolov8(OBJECTS))
-    inner, edge = detector.snap(IMAGE, 320, 200), detector.snap(IMAGE, 2, 358)
+    snap = made(yolov8(OBJECTS)).snap
+    inner, edge = snap(IMAGE, 320, 200), snap(IMAGE, 2, 358)
     assert edge is not None
     assert (edge.x + 318, edge.y - 158) == pytest.approx((inner.x, inner.y), abs=1.0)
-    assert detector.snap(IMAGE[:, :, 0], 320, 200) == inner
+    assert snap(IMAGE[:, :, 0], 320, 200) == inner
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -1.0, 7.0])
@@ -166,6 +169,51 @@ def test_a_file_that_is_no_detector_is_refused_in_one_sentence(data, why, tmp_pa
     with pytest.raises(UsageError, match=why) as refused:
         check(command)
     assert "\n" not in str(refused.value)
+
+
+UNKNOWN = field(7, field(1, node("NoSuchOperator", ["x"], "y")) + field(11, value("x", (1, 3, SIDE, SIDE))))
+
+
+def test_a_network_that_opencv_cannot_run_is_refused_with_what_can(tmp_path, monkeypatch):
+    path = tmp_path / "network.onnx"
+    path.write_bytes(UNKNOWN)
+    monkeypatch.setattr(detector, "has_onnx_runtime", lambda: False)
+    with pytest.raises(ValueError, match=r"OpenCV cannot run it.*pip install 'follow-me\[detector\]'") as refused:
+        Detector(path)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_network_that_opencv_cannot_run_is_run_by_onnx_runtime(tmp_path, monkeypatch):
+    """Stood for by a module with its interface, for the extra is not installed where tests run."""
+    asked = []
+
+    class Session:
+        def __init__(self, model, options, providers):
+            assert model == UNKNOWN
+            assert providers == ["CPUExecutionProvider"]
+            assert options.intra_op_num_threads == max(cv2.getNumThreads(), 1)
+
+        def get_inputs(self):
+            return [SimpleNamespace(name="x")]
+
+        def run(self, outputs, inputs):
+            assert outputs is None
+            asked.append(inputs["x"])
+            if inputs["x"].max() > 1.0 and len(asked) > 1:
+                raise RuntimeError("out of\nmemory")
+            return [yolov8(OBJECTS)]
+
+    fake = SimpleNamespace(InferenceSession=Session, SessionOptions=SimpleNamespace)
+    monkeypatch.setitem(sys.modules, "onnxruntime", fake)
+    monkeypatch.setattr(detector, "has_onnx_runtime", lambda: True)
+    path = tmp_path / "network.onnx"
+    path.write_bytes(UNKNOWN)
+    used = Detector(path)
+    found = used.detect(np.full((SIDE, SIDE, 3), 255, np.uint8))
+    assert len(found) == len(OBJECTS)
+    assert (asked[-1].dtype, asked[-1].shape, asked[-1].max()) == (np.float32, (1, 3, SIDE, SIDE), 1.0)
+    with pytest.raises(ValueError, match="out of memory"):
+        used._run(np.full((1, 3, SIDE, SIDE), 2.0, np.float32))
 
 
 def test_a_detector_that_is_not_there_is_refused(tmp_path):
