@@ -343,8 +343,8 @@ class Mode(str, Enum):
     FOLLOW = "follow"  # send the desired setpoint, within the limits
     COAST = "coast"  # the target is not seen: send the desired setpoint, scaled down with time
     SEARCH = "search"  # hover and turn towards the target's predicted direction
-    HOLD = "hold"  # the search has ended: hover until the operator decides
-    BRAKE = "brake"  # some data are stale: ramp to zero
+    HOLD = "hold"  # the search has ended, or the target is out of reach: hover until the operator decides
+    BRAKE = "brake"  # data are stale, or FOLLOW must end: ramp to zero
     ENDED = "ended"  # silent until the operator orders FOLLOW again
 
 

@@ -75,6 +75,13 @@ def test_every_message_of_the_page_is_one_that_the_program_gives():
                 assert part.strip(" ,;:()") in said, message
 
 
+def test_every_note_of_the_page_is_one_sentence_of_the_program():
+    said = spoken().splitlines()
+    for message in names([row[0] for row in table(AFTER, "Notes")]):
+        pattern = ".*".join(re.escape(part.strip()) for part in message.split("…"))
+        assert any(re.search(pattern, line) for line in said), message
+
+
 CHECKS = {"doctor.py", "calibrate.py", "wave.py"}
 """What these report is no flight's: their own pages tell."""
 

@@ -91,7 +91,10 @@ def look(source: str, tracker: str, out: Path, terminal: Terminal) -> list[Findi
         return [Finding("camera", Health.RED, str(error), "look at the source's name and cable")]
     if len(kept) > 1:
         rows, columns = kept[0].image.shape[:2]
-        out.mkdir(parents=True, exist_ok=True)
+        try:
+            out.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise UsageError(f"--out {str(out)!r} must be a folder that can be written: {error.strerror}") from None
         scale = kept[0].scale
         whole = (columns * scale, rows * scale)  # a target's box is given in pixels of the source
         image = kept[0].image if scale == 1 else cv2.resize(kept[0].image, whole, interpolation=cv2.INTER_CUBIC)

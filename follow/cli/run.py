@@ -135,8 +135,8 @@ def check(command: RunCommand) -> None:
         parse_camera(command.camera)
     elif not command.camera.startswith(SCENE) and not Path(command.camera).exists():
         raise UsageError(
-            f"camera {command.camera!r} is no file or folder, and none of a device (0, /dev/video0), "
-            "a stream (rtsp://HOST/PATH) and a drawn scene (scene:NAME)"
+            f"camera {command.camera!r} is not a file or folder, a device (0, /dev/video0), "
+            "a stream (rtsp://HOST/PATH), a program (exec:PROGRAM), picamera2 or a drawn scene (scene:NAME)"
         )
     for name in command.waive:
         check_waiver(name)

@@ -134,7 +134,10 @@ class MavlinkLink:
             if not missing:
                 return
             if time.monotonic() > end_s:
-                raise LinkError(f"no {' and no '.join(missing)} came within {timeout_s:g} s")
+                raise LinkError(
+                    f"no {' and no '.join(missing)} came within {timeout_s:g} s: look at address, port, baud rate, "
+                    "cable and power; a position needs GPS lock"
+                )
             if time.monotonic() > said_s + WAITING_EVERY_S:
                 said_s = time.monotonic()
                 report(f"waiting: no {' and no '.join(missing)} yet, {said_s - began_s:.0f} of {timeout_s:g} s")

@@ -40,8 +40,8 @@ class Limits:
     position_age_s: float = 0.5  # Maximum age of the position: 4 m at the maximum speed, which is the stand-off.
     heartbeat_age_s: float = 3.0  # Maximum age of the autopilot's heartbeat: three missed ones.
     coast_after_s: float = 0.25  # A target not seen for this long counts as lost.
-    search_after_s: float = 4.0  # Timeout of COAST, then SEARCH; from half of it on the setpoint is scaled down.
-    give_up_after_s: float = 20.0  # Timeout of SEARCH, then HOLD; a walker may be 28 m from its prediction by then.
+    search_after_s: float = 4.0  # A target not seen for this long: SEARCH; COAST scales down from half of it on.
+    give_up_after_s: float = 20.0  # A target not seen for this long: HOLD; a walker may be 28 m from its prediction.
     stale_grace_s: float = 1.0  # Grace period for stale data before the stream stops or an order is void.
     hold_timeout_s: float = 30.0  # Timeout of HOLD, then the autopilot's own Hold, which also holds the position.
     reach_after_s: float = 5.0  # A limit that keeps the vehicle from its target for this long is told to the pilot.
