@@ -4,6 +4,7 @@ The network runs in a process of its own, at the lowest priority, so that it del
 nothing is late, what it found comes a stated time later, and the same flight gets the same detections.
 """
 
+import contextlib
 import logging
 import os
 import signal
@@ -150,14 +151,12 @@ def serve(path: Path, pipe: "Connection") -> None:
     os.nice(NICEST)
     cv2.setNumThreads(max((os.cpu_count() or 1) - 1, 1))  # a core for the loop
     detector = Detector(path)
-    while True:
-        try:
+    with contextlib.suppress(EOFError, OSError):  # the flight has ended, however
+        while True:
             shape, place = pipe.recv()
             image = np.frombuffer(pipe.recv_bytes(), np.uint8).reshape(shape)
-        except EOFError:
-            return
-        try:
-            answer: Answer = detector.find(image) if place is None else detector.snap(image, *place)
-        except ValueError as error:
-            answer = str(error)
-        pipe.send(answer)
+            try:
+                answer: Answer = detector.find(image) if place is None else detector.snap(image, *place)
+            except ValueError as error:
+                answer = str(error)
+            pipe.send(answer)

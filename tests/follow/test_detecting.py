@@ -3,8 +3,11 @@
 import logging
 import os
 import signal
+import subprocess
+import sys
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -123,6 +126,35 @@ def test_a_process_that_dies_is_told_once_and_the_flight_goes_on(file, caplog):
         assert detector.update(frame(k + 60), (k + 60) * ROUND_S) is None
         assert detector.snap(IMAGE, 320, 200) is None
     assert caplog.messages == ["the detector failed: its process has ended"]
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+import numpy as np
+from follow.control.detecting import DetectorProcess
+with DetectorProcess(Path(sys.argv[1])) as detector:
+    detector.snap(np.zeros((360, 640, 3), np.uint8), 320, 200)
+    print(detector._process.pid, flush=True)
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_the_process_ends_with_a_flight_that_is_killed(file):
+    flight = subprocess.run([sys.executable, "-c", KILLED, file], capture_output=True, check=False, timeout=60)
+    assert flight.returncode == -signal.SIGKILL
+    end = time.monotonic() + 30.0
+    while is_running(int(flight.stdout)):
+        assert time.monotonic() < end
+        os.sched_yield()
+
+
+def is_running(pid: int) -> bool:
+    """Whether a process runs; one that ended and was not yet waited for does not."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
 
 
 def test_a_network_that_fails_in_the_process_is_told_once_and_it_works_again_afterwards(file, caplog):
