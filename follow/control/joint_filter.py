@@ -21,7 +21,7 @@ modified polar coordinates for bearings-only tracking", IEEE Trans. AC 28(3), 19
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -38,6 +38,9 @@ SURPRISE_M_S = 1.5
 
 STIR_KEPT = math.exp(-1 / 90)
 """A target becomes calm within about 90 boxes that came where they were predicted: 3 s of them."""
+
+TREND_KEPT = math.exp(-1 / 10)
+"""A manoeuvre is also seen in about 10 boxes together: a turn puts each off by less than its noise, all to one side."""
 
 CLEAR_M = 0.5
 """A line of sight is at least this long; nearer the directions mean nothing."""
@@ -66,7 +69,8 @@ class JointFilter:
     """State of the filter at `t_s`: mean (11,) and covariance (11, 11) in the order of the module's docstring.
 
     The covariance is that for a known size: its row and column L are zero, and `size_var` is the variance of l.
-    `stir` is 1 for a target that manoeuvres as hard as `Motion` expects, 0 for one that is calm.
+    `stir` is 1 for a target that manoeuvres as hard as `Motion` expects, 0 for one that is calm.  `trend` (3,) is the
+    sum of the past innovations, whitened and each fading by TREND_KEPT a box.
     """
 
     t_s: float
@@ -74,6 +78,7 @@ class JointFilter:
     covariance: Array
     size_var: float
     stir: float = 1.0
+    trend: Array = field(default_factory=lambda: np.zeros(3))
 
     @property
     def size_m(self) -> float:
@@ -167,6 +172,11 @@ class Innovation:
         """Squared Mahalanobis distance, of three degrees of freedom."""
         return float(self.residual @ np.linalg.solve(self.covariance, self.residual))
 
+    @property
+    def whitened(self) -> Array:
+        """The innovation (3,) as three independent numbers of standard deviation 1."""
+        return np.linalg.solve(np.linalg.cholesky(self.covariance), self.residual).astype(np.float64)
+
 
 OBSERVE = np.zeros((3, SIZE))
 OBSERVE[0, [0, BX]] = OBSERVE[1, [1, BY]] = 1.0
@@ -189,7 +199,9 @@ def corrected(f: JointFilter, camera_ned: Array, sight: Sight, noise: Array) -> 
     length, axes = sight_axes(f.mean[:3] - camera_ned)
     p = in_sight(f.covariance, length, axes)
     step = innovation(f, camera_ned, sight, noise)
-    stir = max(f.stir * STIR_KEPT, min(step.distance2 / STIRRED, 1.0))
+    trend = TREND_KEPT * f.trend + step.whitened
+    together2 = (1 - TREND_KEPT**2) * float(trend @ trend)
+    stir = max(f.stir * STIR_KEPT, min(max(step.distance2, together2) / STIRRED, 1.0))
     gain = np.linalg.solve(step.covariance, OBSERVE @ p).T
     keep = np.eye(SIZE) - gain @ OBSERVE
     p = keep @ p @ keep.T + (gain * noise**2) @ gain.T
@@ -200,7 +212,7 @@ def corrected(f: JointFilter, camera_ned: Array, sight: Sight, noise: Array) -> 
     mean[:3] = camera_ned + away
     if step.distance2 > STIRRED:  # the target turned or set off: all of its velocity is in doubt
         p[[VN, VE], [VN, VE]] += SURPRISE_M_S**2
-    return replace(f, mean=mean, covariance=in_sight(p, *sight_axes(away), back=True), stir=stir)
+    return replace(f, mean=mean, covariance=in_sight(p, *sight_axes(away), back=True), stir=stir, trend=trend)
 
 
 def height_row(f: JointFilter, camera_ned: Array, middle: float) -> tuple[float, Array]:

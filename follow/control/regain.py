@@ -7,6 +7,7 @@ else has come to stand in it.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -16,31 +17,46 @@ from follow.control.pose_history import Pose
 from follow.geometry import Array, wrap
 from follow.messages import OtherSighting
 
-LOOKS, LOOK_ASIDE_M, LOOK_ALONG = 24, 5.0, 0.5
-"""Places at which a lost target is looked for, how far to either side, and along its course as a part of its way."""
+LOOK_M, LOOK_ALONG = 10.0, 0.5
+"""A lost target is looked for at most this far to either side, and along its course by this part of its way."""
+
+LOOK_REACH_M = 1.5
+"""The tracker finds somebody this far from the place at which it looks: its search region is 4 m across."""
+
+LOOKS = round((LOOK_M / LOOK_REACH_M) ** 2)
+"""Largest number of places."""
 
 
 def looked_for(f: JointFilter, seen_ned: Array, look: int) -> Array:
     """Where (3,), NED, to look for a lost target in the `look`-th frame: the predicted place in every second one.
 
-    The others go through an ellipse around it: to either side as far as it may be, along its course so far that it
-    may have been half as fast or half as fast again.
+    The others go through an ellipse around it: two standard deviations to either side of its course and along it, and
+    along it so far that it may have been half as fast or half as fast again.
     """
-    step = look // 2 % LOOKS
     if look % 2 == 0:
         return f.mean[:3]
     way = f.mean[:2] - seen_ned[:2]
     length = float(np.linalg.norm(way))
-    std = math.sqrt(max(float(np.linalg.eigvalsh(f.covariance[:2, :2])[-1]), 0.0))
-    aside = min(2 * std, LOOK_ASIDE_M)
-    ahead = max(LOOK_ALONG * length, aside)
-    reach, angle = math.sqrt((step + 0.5) / LOOKS), 2.4 * step  # the golden angle: as the seeds of a sunflower lie
     course = way / length if length > 0.1 else np.array([1.0, 0.0])
+    across = np.array([-course[1], course[0]])
+    stds = [math.sqrt(max(float(axis @ f.covariance[:2, :2] @ axis), 0.0)) for axis in (course, across)]
+    ahead, aside = (min(2 * std, LOOK_M) for std in stds)
+    ahead = max(ahead, LOOK_ALONG * length)
+    looks = min(max(math.ceil(ahead * aside / LOOK_REACH_M**2), 1), LOOKS)
+    step = look // 2 % looks
+    reach, angle = math.sqrt((step + 0.5) / looks), 2.4 * step  # the golden angle: as the seeds of a sunflower lie
     place = f.mean[:3].copy()
-    place[:2] += reach * (
-        ahead * math.cos(angle) * course + aside * math.sin(angle) * np.array([-course[1], course[0]])
-    )
+    place[:2] += reach * (ahead * math.cos(angle) * course + aside * math.sin(angle) * across)
     return place
+
+
+def next_look(f: JointFilter, seen_ned: Array, looks: int, in_image: Callable[[Array], bool]) -> tuple[int, Array]:
+    """The number of the next look after `looks`, and its place (3,): one in the image, unless there is none."""
+    for look in range(looks + 1, looks + 1 + 2 * LOOKS):
+        place = looked_for(f, seen_ned, look)
+        if in_image(place):
+            return look, place
+    return looks + 1, f.mean[:3]
 
 
 def distance_to_segment(point: Array, start: Array, end: Array) -> float:

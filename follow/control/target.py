@@ -26,7 +26,8 @@ from follow.control.joint_filter import (
     with_size,
 )
 from follow.control.pose_history import Pose, PoseHistory
-from follow.control.regain import Candidate, PathDistance, Regain, distance_to_segment, looked_for
+from follow.control.regain import Candidate, PathDistance, Regain, distance_to_segment, next_look
+from follow.control.turning import Turning, turned_on
 from follow.geometry import Array, Intrinsics, camera_to_ned, project, rays, undistort, wrap
 from follow.messages import NEVER, Estimate, ImageMotion, VehicleState
 from follow.ranges import require_numbers
@@ -116,6 +117,7 @@ class Target:
     asked_t_s: float = NEVER
     looks: int = 0
     candidates: Candidates = field(default_factory=Candidates)
+    turning: Turning = field(default_factory=Turning)
     sources: GroundSources = field(default_factory=GroundSources)
     waiting: deque[tuple[float, Track]] = field(default_factory=lambda: deque[tuple[float, Track]](maxlen=16))
 
@@ -127,7 +129,7 @@ class Target:
     def forget(self) -> None:
         """Forget the target; the next box starts a new one."""
         self.filter, self.box, self.seen_t_s, self.asked_t_s = None, None, NEVER, NEVER
-        self.sources, self.candidates = GroundSources(), Candidates()
+        self.sources, self.candidates, self.turning = GroundSources(), Candidates(), Turning()
         self.regain, self.accepted, self.usual_psr = Regain(), 0, 0.0
         self.waiting.clear()
 
@@ -146,8 +148,7 @@ class Target:
         if t_s - self.seen_t_s > self.config.lost_after_s:
             if any(track.found and self.sharp(track, lost=True) for _, track in self.waiting):
                 return None  # a candidate that waits for the attitude of its frame
-            self.looks += 1
-            place = looked_for(f, self.seen_ned, self.looks)
+            self.looks, place = next_look(f, self.seen_ned, self.looks, lambda place: self.in_image(place, pose))
             if self.looks % 2 == 1 and found is not None and found.t_s > self.seen_t_s:
                 then = self.pose(state, found.t_s)
                 candidate = self.candidates.next(found, lambda box: self.sight(box, then), then, f, self.seen_ned)
@@ -158,6 +159,12 @@ class Target:
         height = math.exp(f.mean[7] + f.mean[10]) * math.sqrt(self.aspect) * self.camera.fy / depth[0]
         scale = height / self.box.h
         return Box.around(float(pixels[0, 0]), float(pixels[0, 1]), self.box.w * scale, self.box.h * scale)
+
+    def in_image(self, place: Array, pose: Pose) -> bool:
+        """Whether a place (3,), NED, lies in the image taken at a pose."""
+        pixels, depth = project(self.camera, self.rotation(pose), pose.position_ned, place[None, :])
+        x, y = pixels[0]
+        return bool(depth[0] > 1.0 and 0 <= x < self.camera.width and 0 <= y < self.camera.height)
 
     def update(
         self, track: Track | None, state: VehicleState, t_s: float, motion: ImageMotion | None = None
@@ -223,18 +230,24 @@ class Target:
                 return True
             if not self.plausible(f, sight, pose, self.noise(box)):
                 f = self.start(sight, t_s, pose, f)
-            self.filter = corrected(f, pose.position_ned, sight, self.noise(box))
+            self.filter = corrected(f, pose.position_ned, sight, self.noise(box, track.psr))
         if track.psr > 0:  # the box that was given at the start has no response
             self.accepted += 1
             self.usual_psr += max(c.psr_rate, 1.0 / self.accepted) * (track.psr - self.usual_psr)
         assert self.filter is not None
         self.box, self.seen_t_s, self.regain = box, t_s, Regain()
         self.seen_ned = self.filter.mean[:3].copy()
+        self.turning.add(self.filter)
         return True
 
-    def noise(self, box: Box) -> Array:
-        """(3,) standard deviations of a box's white errors; those of one that the image's border cuts are larger."""
-        return self.config.noise * (1.0 if within(box, self.camera) else CUT)
+    def noise(self, box: Box, psr: float = math.inf) -> Array:
+        """(3,) standard deviations of a box's white errors.
+
+        They are larger for one that the image's border cuts, and for one whose response is less sharp than usual: where
+        the target begins to be covered the box is drawn to what covers it.
+        """
+        cut = 1.0 if within(box, self.camera) else CUT
+        return self.config.noise * max(cut, self.usual_psr / psr if psr > 0 else 1.0)
 
     def start(self, sight: Sight, t_s: float, pose: Pose, before: JointFilter | None = None) -> JointFilter:
         """The filter of the first box, its range by the size's prior, or of one found again, by the size learnt before.
@@ -329,6 +342,8 @@ class Target:
         c = self.config
         unknown = t_s - self.filter.t_s > c.lost_after_s  # nothing says that an unseen target stays calm
         f = predicted(replace(self.filter, stir=1.0) if unknown else self.filter, t_s, c.motion)
+        if unknown:
+            f = turned_on(f, f.t_s - self.filter.t_s, self.turning.bend())
         unseen = f.t_s - self.filter.t_s - c.steady_s
         if unseen <= 0:
             return f
