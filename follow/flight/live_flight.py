@@ -59,7 +59,7 @@ def taking_and_giving(ticks: Iterable[Tick], link: FlyingLink) -> Iterator[Tick]
     before, was_released = Mode.OBSERVE, False
     for tick in ticks:
         mode = tick.decision.mode
-        released = mode is Mode.ENDED and tick.decision.release is Release.STICKS
+        released = tick.decision.setpoint is None and tick.decision.release is Release.STICKS
         if mode is Mode.ENGAGE is not before:
             link.take_control()
         elif released and not was_released:

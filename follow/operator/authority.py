@@ -199,7 +199,7 @@ class Operator:
             return None
         healthy = self.hears_remote()
         waiting = self.reason is not None and self.reason.cause is Cause.ORDER_WAITS
-        held = self.mode is Mode.ENDED and self.state.mode in HOLDING
+        held = self.mode in (Mode.ENDED, Mode.OBSERVE) and self.state.mode in HOLDING
         reason = self.stick(self.heard, self.watches_sticks and (streaming or waiting or held), healthy)
         if reason is not None and not (held and reason.cause is Cause.STICK_JUMPED):
             return reason

@@ -25,6 +25,9 @@ from follow.safety.modes import FLYING, STREAMING, Event, after, standing
 WORDS_S = 3.0
 """The autopilot's last text explains a change of its mode if it is not older than this."""
 
+AFTERWARDS = (Mode.ENDED, Mode.OBSERVE)
+"""The modes in which the vehicle may still be in a mode that was requested here, though nothing is sent."""
+
 
 @dataclass(frozen=True, slots=True)
 class PendingOrder:
@@ -142,9 +145,12 @@ def heard(now: Authority, facts: Facts) -> Authority:
     if order is Order.FOLLOW and (now.mode not in STREAMING or now.mode is Mode.HOLD):
         pending = PendingOrder(facts.instruction.reason.what, facts.state.t_s, facts.state.mode)
         return replace(now, order=pending)
-    if now.mode is Mode.ENDED and facts.instruction.reason.cause in PILOTS_STICK:
-        # The vehicle may hover in the Hold or BRAKE that we requested, where the pilot's sticks do nothing.
-        return replace(now, order=None, release=Release.STICKS, reason=facts.instruction.reason)
+    if now.mode in AFTERWARDS and facts.instruction.reason.cause in PILOTS_STICK:
+        # The vehicle may hover in the Hold or BRAKE that we requested, where the pilot's sticks do nothing, also when
+        # FOLLOW was ordered and refused there.
+        now = replace(now, release=Release.STICKS)
+        if now.mode is Mode.ENDED:
+            return replace(now, order=None, reason=facts.instruction.reason)
     if order is None or order is Order.FOLLOW:
         return now
     if now.reason.cause is Cause.ORDER_WAITS:  # it does not wait any more

@@ -161,6 +161,21 @@ def stick_after_the_end(rig: Rig) -> None:
     rig.to_client = way
 
 
+def stick_after_a_refusal(rig: Rig) -> None:
+    """OBSERVE is ordered; 2 s later FOLLOW, which BRAKE refuses; 1 s later the pilot moves a stick."""
+    stick_after_the_end(rig)
+    push = rig.to_client
+    ordered: list[float] = []
+
+    def way(packets: list[bytes]) -> list[bytes]:
+        if rig.t_s > rig.fault_t_s + 2.0 and not ordered:
+            rig.operator.order(Order.FOLLOW, "key f")
+            ordered.append(rig.t_s)
+        return push(packets)
+
+    rig.to_client = way
+
+
 def ground_stations_stick(pushed_after_s: float) -> Callable[[Rig], None]:
     """A ground station sends MANUAL_CONTROL, at rest and then not; only this link hears it."""
 
@@ -269,6 +284,13 @@ AUTHORITY_ROWS = (
         autopilots=(Autopilot.ARDUPILOT,),
     ),
     Row("pilot's stick in the Hold or BRAKE afterwards", stick_after_the_end, gives_sticks(0.5), fast=True),
+    Row(
+        "FOLLOW refused in BRAKE, then the pilot's stick",
+        stick_after_a_refusal,
+        gives_sticks(0.5),
+        fast=True,
+        autopilots=(Autopilot.ARDUPILOT,),
+    ),
     Row("a ground station's stick moves", ground_stations_stick(1.0), pilot_has_it(STICK_SEEN_S), fast=True),
     Row("a ground station's stick rests", ground_stations_stick(math.inf), goes_on(3.0)),
     Row("uplink alone lost for 5 s", uplink_lost_for(5.0), lost_link(stop(RUN_M_S, STREAM_LOSS_S)), fast=True),
