@@ -148,7 +148,7 @@ class DetectorProcess:
 def serve(path: Path, pipe: "Connection") -> None:
     """The process: answers each image that comes through `pipe`, until the other side closes it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the loop, which ends this process
-    os.nice(NICEST)
+    os.setpriority(os.PRIO_PROCESS, 0, NICEST)  # the service runs the loop at -10, and this would inherit it
     cv2.setNumThreads(max((os.cpu_count() or 1) - 1, 1))  # a core for the loop
     detector = Detector(path)
     with contextlib.suppress(EOFError, OSError):  # the flight has ended, however
