@@ -97,7 +97,7 @@ class BenchCommand:
     frames: int = 100
     """Frames of each sequence, at most."""
     no_first_call: bool = False
-    """Leave out the times of a fresh process with a cold and a warm cache (it compiles everything: half a minute)."""
+    """Leave out the times of a fresh process with a cold and a warm cache (it compiles all: some ten seconds)."""
     json: bool = False
     """Print the figures as JSON on standard output, and nothing else there."""
 

@@ -19,11 +19,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from racf.fourier import PrunedDft
+from racf.fourier import PrunedDft, places
 from racf.kernels import compiled, inlined
 from racf.params import Params
 
 Float32 = NDArray[np.float32]
+UInt32 = NDArray[np.uint32]
 Scalar = np.float32  # a Python float would turn the compiled sums into doubles
 
 
@@ -52,26 +53,21 @@ def solve_rank_two_numpy(x_f: Float32, residue_f: Float32, rhs_f: Float32, eta: 
     return np.stack([g.real, g.imag]).astype(np.float32)
 
 
-Products = tuple[Scalar, Scalar, Scalar, Scalar, Scalar, Scalar, Scalar, Scalar]
-Shares = tuple[Scalar, Scalar, Scalar, Scalar]
-
-
 @inlined
 def _products(
-    x_f: Float32, d_f: Float32, f_f: Float32, u_f: Float32, k: int, n: int, pull: Scalar
-) -> tuple[Products, Products]:  # fmt: skip
-    """Inner products of x, delta and v = mu f - zeta at the frequencies k and -k down and n across."""
-    x_p, x_pi, x_q, x_qi = x_f[0, k, 0, n], x_f[0, k, 1, n], x_f[1, k, 0, n], x_f[1, k, 1, n]
-    d_p, d_pi, d_q, d_qi = d_f[0, k, 0, n], d_f[0, k, 1, n], d_f[1, k, 0, n], d_f[1, k, 1, n]
-    f_p, f_pi, f_q, f_qi = f_f[0, k, 0, n], f_f[0, k, 1, n], f_f[1, k, 0, n], f_f[1, k, 1, n]
-    u_p, u_pi, u_q, u_qi = u_f[0, k, 0, n], u_f[0, k, 1, n], u_f[1, k, 0, n], u_f[1, k, 1, n]
+    x: Float32, d: Float32, f: Float32, u: Float32, p: np.uint32, p_im: np.uint32, q: np.uint32, q_im: np.uint32,
+    channels: int, pull: Scalar, out: Float32,
+) -> None:  # fmt: skip
+    """Inner products of x, delta and v = mu f - zeta at a pair of frequencies: out (2, 8)."""
     xx1 = dd1 = dx_re1 = dx_im1 = xv_re1 = xv_im1 = dv_re1 = dv_im1 = np.float32(0)
     xx2 = dd2 = dx_re2 = dx_im2 = xv_re2 = xv_im2 = dv_re2 = dv_im2 = np.float32(0)
-    for m in range(x_p.size):
-        a1, b1, a2, b2 = x_p[m] + x_qi[m], x_pi[m] - x_q[m], x_p[m] - x_qi[m], x_pi[m] + x_q[m]
-        c1, e1, c2, e2 = d_p[m] + d_qi[m], d_pi[m] - d_q[m], d_p[m] - d_qi[m], d_pi[m] + d_q[m]
-        v_p, v_pi = pull * f_p[m] - u_p[m], pull * f_pi[m] - u_pi[m]
-        v_q, v_qi = pull * f_q[m] - u_q[m], pull * f_qi[m] - u_qi[m]
+    for m in range(np.uint32(channels)):
+        x_p, x_pi, x_q, x_qi = x[p + m], x[p_im + m], x[q + m], x[q_im + m]
+        d_p, d_pi, d_q, d_qi = d[p + m], d[p_im + m], d[q + m], d[q_im + m]
+        a1, b1, a2, b2 = x_p + x_qi, x_pi - x_q, x_p - x_qi, x_pi + x_q
+        c1, e1, c2, e2 = d_p + d_qi, d_pi - d_q, d_p - d_qi, d_pi + d_q
+        v_p, v_pi = pull * f[p + m] - u[p + m], pull * f[p_im + m] - u[p_im + m]
+        v_q, v_qi = pull * f[q + m] - u[q + m], pull * f[q_im + m] - u[q_im + m]
         v1, w1, v2, w2 = v_p + v_qi, v_pi - v_q, v_p - v_qi, v_pi + v_q
         xx1 += a1 * a1 + b1 * b1
         xx2 += a2 * a2 + b2 * b2
@@ -89,80 +85,101 @@ def _products(
         dv_im1 += c1 * w1 - e1 * v1
         dv_re2 += c2 * v2 + e2 * w2
         dv_im2 += c2 * w2 - e2 * v2
-    return (
-        (xx1, dd1, dx_re1, dx_im1, xv_re1, xv_im1, dv_re1, dv_im1),
-        (xx2, dd2, dx_re2, dx_im2, xv_re2, xv_im2, dv_re2, dv_im2),
-    )
+    out[0, 0], out[0, 1], out[0, 2], out[0, 3] = xx1, dd1, dx_re1, dx_im1
+    out[0, 4], out[0, 5], out[0, 6], out[0, 7] = xv_re1, xv_im1, dv_re1, dv_im1
+    out[1, 0], out[1, 1], out[1, 2], out[1, 3] = xx2, dd2, dx_re2, dx_im2
+    out[1, 4], out[1, 5], out[1, 6], out[1, 7] = xv_re2, xv_im2, dv_re2, dv_im2
 
 
 @inlined
-def _shares(products: Products, y: Scalar, y_im: Scalar, eta: Scalar, mu: Scalar, gain: Scalar) -> Shares:
-    """p and q of mu g = v + p x - q delta, for the right-hand side y x + v at one frequency.
+def _shares(of: Float32, which: int, label: Float32, place: int, eta: Scalar, mu: Scalar, gain: Scalar) -> None:
+    """The inner products become p and q of mu g = v + p x - q delta, for the right-hand side y x + v at one frequency.
 
     A1^-1 r = (r - eta delta (delta^H r) / (mu + eta delta^H delta)) / mu;  g = A1^-1 r - A1^-1 x s.
     """
-    xx, dd, dx, dx_im, xv, xv_im, dv, dv_im = products
-    xr, xr_im = y * xx + xv, y_im * xx + xv_im
-    dr, dr_im = y * dx - y_im * dx_im + dv, y * dx_im + y_im * dx + dv_im
-    share = eta / (mu + eta * dd)
+    y, y_im = label[place], label[np.uint32(label.size // 2) + place]
+    xx, dx, dx_im = of[which, 0], of[which, 2], of[which, 3]
+    xr, xr_im = y * xx + of[which, 4], y_im * xx + of[which, 5]
+    dr, dr_im = y * dx - y_im * dx_im + of[which, 6], y * dx_im + y_im * dx + of[which, 7]
+    share = eta / (mu + eta * of[which, 1])
     x_a_x = (xx - share * (dx * dx + dx_im * dx_im)) / mu
     factor = gain / (mu * (np.float32(1) + gain * x_a_x))
     s = (xr - share * (dx * dr + dx_im * dr_im)) * factor
     s_im = (xr_im - share * (dx * dr_im - dx_im * dr)) * factor
-    t, t_im = share * (dr - (dx * s - dx_im * s_im)), share * (dr_im - (dx * s_im + dx_im * s))
-    return y - s, y_im - s_im, t, t_im
+    of[which, 0], of[which, 1] = y - s, y_im - s_im
+    of[which, 2] = share * (dr - (dx * s - dx_im * s_im))
+    of[which, 3] = share * (dr_im - (dx * s_im + dx_im * s))
 
 
 @inlined
-def _advance(
-    x_f: Float32, d_f: Float32, f_f: Float32, u_f: Float32, g_f: Float32, k: int, n: int,
-    pull: Scalar, mu: Scalar, shares1: Shares, shares2: Shares,
+def _steps(
+    x: Float32, d: Float32, p: np.uint32, p_im: np.uint32, q: np.uint32, q_im: np.uint32, channels: int,
+    shares: Float32, first: int, out: Float32,
 ) -> None:  # fmt: skip
-    """Write g and u = mu g + zeta at the frequencies k and -k down and n across."""
-    half, inverse = np.float32(0.5), np.float32(1) / mu
-    (s1, s_im1, t1, t_im1), (s2, s_im2, t2, t_im2) = shares1, shares2
-    x_p, x_pi, x_q, x_qi = x_f[0, k, 0, n], x_f[0, k, 1, n], x_f[1, k, 0, n], x_f[1, k, 1, n]
-    d_p, d_pi, d_q, d_qi = d_f[0, k, 0, n], d_f[0, k, 1, n], d_f[1, k, 0, n], d_f[1, k, 1, n]
-    f_p, f_pi, f_q, f_qi = f_f[0, k, 0, n], f_f[0, k, 1, n], f_f[1, k, 0, n], f_f[1, k, 1, n]
-    u_p, u_pi, u_q, u_qi = u_f[0, k, 0, n], u_f[0, k, 1, n], u_f[1, k, 0, n], u_f[1, k, 1, n]
-    g_p, g_pi, g_q, g_qi = g_f[0, k, 0, n], g_f[0, k, 1, n], g_f[1, k, 0, n], g_f[1, k, 1, n]
-    for m in range(x_p.size):
-        a1, b1, a2, b2 = x_p[m] + x_qi[m], x_pi[m] - x_q[m], x_p[m] - x_qi[m], x_pi[m] + x_q[m]
-        c1, e1, c2, e2 = d_p[m] + d_qi[m], d_pi[m] - d_q[m], d_p[m] - d_qi[m], d_pi[m] + d_q[m]
+    """mu g - v at a pair of frequencies, folded: each part of P and Q into a quarter of `out`, from `first` on."""
+    half, quarter = np.float32(0.5), out.size // 4
+    o_p, o_pi, o_q, o_qi = (
+        np.uint32(first),
+        np.uint32(first + quarter),
+        np.uint32(first + 2 * quarter),
+        np.uint32(first + 3 * quarter),
+    )
+    s1, s_im1, t1, t_im1 = shares[0, 0], shares[0, 1], shares[0, 2], shares[0, 3]
+    s2, s_im2, t2, t_im2 = shares[1, 0], shares[1, 1], shares[1, 2], shares[1, 3]
+    for m in range(np.uint32(channels)):
+        x_p, x_pi, x_q, x_qi = x[p + m], x[p_im + m], x[q + m], x[q_im + m]
+        d_p, d_pi, d_q, d_qi = d[p + m], d[p_im + m], d[q + m], d[q_im + m]
+        a1, b1, a2, b2 = x_p + x_qi, x_pi - x_q, x_p - x_qi, x_pi + x_q
+        c1, e1, c2, e2 = d_p + d_qi, d_pi - d_q, d_p - d_qi, d_pi + d_q
         h1, i1 = a1 * s1 - b1 * s_im1 - c1 * t1 + e1 * t_im1, a1 * s_im1 + b1 * s1 - c1 * t_im1 - e1 * t1
         h2, i2 = a2 * s2 - b2 * s_im2 - c2 * t2 + e2 * t_im2, a2 * s_im2 + b2 * s2 - c2 * t_im2 - e2 * t2
-        # mu g - v, folded; then u = mu g + zeta = mu f + (mu g - v)
-        o_p, o_pi, o_q, o_qi = half * (h1 + h2), half * (i1 + i2), half * (i2 - i1), half * (h1 - h2)
-        g_p[m] = (pull * f_p[m] - u_p[m] + o_p) * inverse
-        g_pi[m] = (pull * f_pi[m] - u_pi[m] + o_pi) * inverse
-        g_q[m] = (pull * f_q[m] - u_q[m] + o_q) * inverse
-        g_qi[m] = (pull * f_qi[m] - u_qi[m] + o_qi) * inverse
-        u_p[m], u_pi[m] = mu * f_p[m] + o_p, mu * f_pi[m] + o_pi
-        u_q[m], u_qi[m] = mu * f_q[m] + o_q, mu * f_qi[m] + o_qi
+        out[o_p + m], out[o_pi + m], out[o_q + m], out[o_qi + m] = (
+            half * (h1 + h2), half * (i1 + i2), half * (i2 - i1), half * (h1 - h2)
+        )  # fmt: skip
 
 
 @compiled
+def _solved(
+    x: Float32, d: Float32, y: Float32, f: Float32, u: Float32, g: Float32, at: UInt32, work: Float32,
+    steps: Float32, half: int, channels: int, eta: Scalar, mu_before: Scalar, mu: Scalar, gain: Scalar,
+) -> None:  # fmt: skip
+    """See `solve_g`; arrays are flat, `work` (2, 8) and `steps` (4 (W//2 + 1) D,) are scratch.
+
+    Frequencies k and -k down are solved together; their letters end in 1 and 2.  The right-hand side is y x + v with
+    v = mu f - zeta.
+    """
+    pull, inverse = mu_before + mu, np.float32(1) / mu
+    for first in range(0, at.shape[0], half):  # one k
+        for n in range(half):
+            i = first + n
+            p, p_im, q, q_im = at[i, 0], at[i, 1], at[i, 2], at[i, 3]
+            _products(x, d, f, u, p, p_im, q, q_im, channels, pull, work)
+            for which in range(2):
+                _shares(work, which, y, at[i, 4 + which], eta, mu, gain)
+            _steps(x, d, p, p_im, q, q_im, channels, work, n * channels, steps)
+        for part in range(4):  # u = mu g + zeta = mu f + (mu g - v)
+            begin, step = at[first, part], np.uint32(part * half * channels)
+            for m in range(np.uint32(half * channels)):
+                f_m, u_m, step_m = f[begin + m], u[begin + m], steps[step + m]
+                g[begin + m] = (pull * f_m - u_m + step_m) * inverse
+                u[begin + m] = mu * f_m + step_m
+
+
 def solve_g(
     x_f: Float32, d_f: Float32, y_f: Float32, f_f: Float32, u_f: Float32, g_f: Float32,
-    eta: Scalar, mu_before: Scalar, mu: Scalar, gain: Scalar,
+    eta: float, mu_before: float, mu: float, gain: float,
 ) -> None:  # fmt: skip
     """One ADMM step on the spectra, in place: same as `solve_rank_two_numpy` with the step's right-hand side.
 
     x_f, d_f, f_f (folded spectra) and the label y_f (2, H, Wf) are read.  `u_f` holds g mu_before + zeta_before and
     becomes g mu + zeta, where zeta = u_before - mu_before f is the updated Lagrangian (Eq. 13): what the filter's
     subproblem transforms next.  `g_f` receives g.  The data term is weighed with `gain` (1 + gamma for ARCF).
-
-    Frequencies k and -k down are solved together; their letters end in 1 and 2.  The right-hand side is y x + v with
-    v = mu f - zeta.
     """
-    rows, pull = y_f.shape[1], mu_before + mu
-    for k in range(x_f.shape[1]):
-        for n in range(x_f.shape[3]):
-            first, second = _products(x_f, d_f, f_f, u_f, k, n, pull)
-            shares1 = _shares(first, y_f[0, k, n], y_f[1, k, n], eta, mu, gain)
-            mirrored = (rows - k) % rows
-            shares2 = _shares(second, y_f[0, mirrored, n], y_f[1, mirrored, n], eta, mu, gain)
-            _advance(x_f, d_f, f_f, u_f, g_f, k, n, pull, mu, shares1, shares2)
+    half, channels = x_f.shape[-2:]
+    x, d, y, f, u, g = (array.reshape(-1) for array in (x_f, d_f, y_f, f_f, u_f, g_f))
+    work, steps = np.empty((2, 8), np.float32), np.empty(4 * half * channels, np.float32)
+    weights = np.float32(eta), np.float32(mu_before), np.float32(mu), np.float32(gain)
+    _solved(x, d, y, f, u, g, places(*y_f.shape[1:], channels), work, steps, half, channels, *weights)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -203,8 +220,8 @@ class Solver:
         toward = None if last is None or temporal == 0 else np.float32(temporal) * last.filter
         penalty, before, size = params.penalty, 0.0, grid.rows * grid.cols
         for _ in range(params.admm_iterations):
-            solve_g(x_f, residue_f, y_f, new.f_f, u_f, new.g_f, np.float32(params.residue), np.float32(before * size),
-                    np.float32(penalty * size), np.float32(1 + aberrance))  # fmt: skip
+            solve_g(x_f, residue_f, y_f, new.f_f, u_f, new.g_f, params.residue, before * size,
+                    penalty * size, 1 + aberrance)  # fmt: skip
             # Eq. 8: (mu + lambda + tau + theta w^2) f = mu g + zeta + tau f'
             pulled = grid.inverse_support(u_f, self._pulled)
             pulled /= np.float32(size)

@@ -15,6 +15,7 @@ multiples of spectra are those of P and Q; what is not linear goes through `unfo
 its kernel.
 """
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +25,7 @@ from racf.kernels import compiled
 
 Float32 = NDArray[np.float32]
 Complex = NDArray[np.complex64]
+UInt32 = NDArray[np.uint32]
 
 
 class PrunedDft:
@@ -73,6 +75,19 @@ def folded(frequencies: Complex) -> Float32:
     return np.stack([np.stack([part.real, part.imag], axis=1) for part in (p, q)]).astype(np.float32)
 
 
+@functools.lru_cache(maxsize=16)
+def places(rows: int, half: int, channels: int) -> UInt32:
+    """(H//2 + 1) (W//2 + 1) times 6: where a pair of frequencies is in flat arrays, k down slowest.
+
+    Of a folded spectrum: where the channels of P's real and imaginary part and of Q's begin; of (H, W//2 + 1): the
+    frequency k down, and -k.
+    """
+    k, n = (axis.ravel() for axis in np.mgrid[: rows // 2 + 1, :half])
+    p, q = 2 * k * half + n, 2 * (rows // 2 + 1 + k) * half + n
+    spectrum = np.stack([p, p + half, q, q + half]) * channels
+    return np.ascontiguousarray([*spectrum, k * half + n, -k % rows * half + n], np.uint32).T.copy()
+
+
 def _counts(size: int) -> NDArray[np.float64]:
     counts = np.full(size // 2 + 1, 2.0)
     counts[0] = 1.0
@@ -107,7 +122,9 @@ class _Plan:
         self.across, self.down = _Waves.of(cols, n), _Waves.of(rows, m)
         self._across_sin = np.ascontiguousarray(-self.across.sin)
         self._lines = np.empty((2, n // 2 + 1, m * channels), np.float32)
-        self._planes = np.empty((2, self.half, m, channels), np.float32)
+        self._there, self._back = _pairs_down(self.half, m, channels)
+        self._padded = np.zeros(2 * self.half * m * channels + channels, np.float32)
+        self._planes = self._padded[:-channels].reshape(2, self.half, m * channels)
         self._pairs = np.empty((2, m // 2 + 1, 2, self.half, channels), np.float32)
 
     def forward(self, x: Float32, out: Float32) -> Float32:
@@ -121,10 +138,10 @@ class _Plan:
         if n % 2 == 0:  # the one at -n/2 has no partner
             even[-1] = flat[0]
             np.negative(flat[0], out=odd[-1])
-        planes = self._planes.reshape(2, self.half, -1)
-        np.matmul(self.across.cos, even, out=planes[0])
-        np.matmul(self._across_sin, odd, out=planes[1])
-        _fold_down(self._planes, self._pairs)
+        np.matmul(self.across.cos, even, out=self._planes[0])
+        np.matmul(self._across_sin, odd, out=self._planes[1])
+        self._padded[-x.shape[2] :] = 0
+        _sums_and_differences(self._padded, self._there, x.shape[2], self._pairs.reshape(-1))
         for waves, pair, part in zip((self.down.cos, self.down.sin), self._pairs, out, strict=True):
             np.matmul(waves, pair.reshape(len(pair), -1), out=part.reshape(len(part), -1))
         return out
@@ -133,11 +150,10 @@ class _Plan:
         n = self.part[0]
         for waves, pair, part in zip((self.down.cos_back, self.down.sin_back), self._pairs, g_f, strict=True):
             np.matmul(waves, part.reshape(len(part), -1), out=pair.reshape(len(pair), -1))
-        _unfold_down(self._pairs, self._planes)
-        planes = self._planes.reshape(2, self.half, -1)
+        _sums_and_differences(self._pairs.reshape(-1), self._back, g_f.shape[-1], self._padded)
         even, odd = self._lines
-        np.matmul(self.across.cos_back, planes[0], out=even)
-        np.matmul(self.across.sin_back, planes[1], out=odd)
+        np.matmul(self.across.cos_back, self._planes[0], out=even)
+        np.matmul(self.across.sin_back, self._planes[1], out=odd)
         flat, middle, pairs = out.reshape(n, -1), n // 2, (n - 1) // 2
         flat[middle] = even[0]
         np.subtract(even[1 : pairs + 1], odd[1 : pairs + 1], out=flat[middle + 1 : middle + 1 + pairs])
@@ -148,37 +164,26 @@ class _Plan:
 
 
 @compiled
-def _fold_down(planes: Float32, out: Float32) -> None:
-    """(2, W//2 + 1, m, D) -> sums and differences over positions +j and -j, (2, m//2 + 1, 2, W//2 + 1, D)."""
-    _, half, m, channels = planes.shape
-    middle = m // 2
-    for j in range(middle + 1):
-        for part in range(2):
-            for k in range(half):
-                before, even, odd = planes[part, k, middle - j], out[0, j, part, k], out[1, j, part, k]
-                if 0 < j < m - middle:
-                    after = planes[part, k, middle + j]
-                    for d in range(channels):
-                        even[d] = after[d] + before[d]
-                        odd[d] = after[d] - before[d]
-                else:  # the middle, and the one at -m/2, have no partner
-                    for d in range(channels):
-                        even[d] = before[d]
-                        odd[d] = -before[d]
+def _sums_and_differences(x: Float32, rows: UInt32, channels: int, out: Float32) -> None:
+    """out[s] = x[a] + x[b] and out[t] = x[a] - x[b] for each (a, b, s, t) of `rows`, `channels` numbers each."""
+    for i in range(rows.shape[0]):
+        a, b, s, t = rows[i, 0], rows[i, 1], rows[i, 2], rows[i, 3]
+        for d in range(np.uint32(channels)):
+            out[s + d] = x[a + d] + x[b + d]
+            out[t + d] = x[a + d] - x[b + d]
 
 
-@compiled
-def _unfold_down(pairs: Float32, out: Float32) -> None:
-    """Even and odd sums a, b at j, (2, m//2 + 1, 2, W//2 + 1, D) -> a + b at +j, a - b at -j, (2, W//2 + 1, m, D)."""
-    _, half, m, channels = out.shape
+def _pairs_down(half: int, m: int, channels: int) -> tuple[UInt32, UInt32]:
+    """Rows for `_sums_and_differences`: planes (2, W//2 + 1, m, D) to pairs (2, m//2 + 1, 2, W//2 + 1, D), and back.
+
+    Sums and differences over positions +j and -j.  The middle, and the one at -m/2, have no partner: it is a row of
+    zeros after the planes, and what would become of it is written there.
+    """
     middle = m // 2
-    for j in range(middle + 1):
-        for part in range(2):
-            for k in range(half):
-                even, odd, before = pairs[0, j, part, k], pairs[1, j, part, k], out[part, k, middle - j]
-                for d in range(channels):
-                    before[d] = even[d] - odd[d]
-                if 0 < j < m - middle:
-                    after = out[part, k, middle + j]
-                    for d in range(channels):
-                        after[d] = even[d] + odd[d]
+    j, part, k = (axis.ravel() for axis in np.mgrid[: middle + 1, :2, :half])
+    even = (j * 2 + part) * half + k
+    odd = even + (middle + 1) * 2 * half
+    before = (part * half + k) * m + middle - j
+    after = np.where((j > 0) & (j < m - middle), before + 2 * j, 2 * half * m)
+    there, back = np.stack([after, before, even, odd], 1), np.stack([even, odd, after, before], 1)
+    return (there * channels).astype(np.uint32), (back * channels).astype(np.uint32)

@@ -11,7 +11,7 @@ import functools
 import numpy as np
 from numpy.typing import NDArray
 
-from racf.kernels import compiled
+from racf.kernels import compiled, inlined
 
 UInt8 = NDArray[np.uint8]
 Float32 = NDArray[np.float32]
@@ -22,6 +22,7 @@ ORIENTATIONS = 9
 CHANNELS = 3 * ORIENTATIONS + 4
 CLIP = 0.2
 EPSILON = 2.5e-5  # added to block energies (gradients of a 0..1 image, summed over cells)
+AT_ONCE = 4  # sets of votes that are added up together
 TEXTURE_GAIN = 0.2357  # 1/sqrt(18): each texture channel is a projection, as in Felzenszwalb's Eq. 7
 
 
@@ -69,146 +70,168 @@ def fhog_numpy(patch: UInt8, cell: int) -> Float32:
     return out.astype(np.float32)
 
 
-Scratch = tuple[Float32, UInt32, Float32, Int32, Float32, Float32, Float32]
+Scratch = tuple[UInt32, Float32, Int32, Int32, UInt32, UInt32, Float32, Float32, Float32, Float32, Float32]
 
 
-def scratch(rows: int, cols: int, cell: int) -> Scratch:
-    """What `fhog` works with on (rows * cell, cols * cell) pixels.
+def scratch(rows: int, cols: int, cell: int, count: int = 1) -> Scratch:
+    """What `fhog` works with on `count` patches of (rows * cell, cols * cell) pixels.
 
-    Votes, their first places, shares of a cell's pixels, rows of pixels and of weights, histogram, energy.
+    First places among votes, shares of a cell's pixels, rows of pixels, of places and of weights, votes, histograms,
+    energy.
     """
     width, directions = cols * cell, 2 * ORIENTATIONS
     place = (np.arange(width) + (cell + 1) // 2) // cell
     phase = (np.arange(width) + (cell + 1) // 2) % cell
-    votes = np.zeros((2, cell * (cols + 1) * directions), np.float32)
     first = (phase * (cols + 1) + place) * directions  # of each column's bins among the votes
     at = (np.arange(cell) - (cell + 1) // 2 + 0.5) / cell + 0.5
-    shares = (at - np.floor(at)).astype(np.float32)
-    pixels, weights = np.empty((3, width), np.int32), np.empty((2, width), np.float32)
-    histogram = np.empty((rows + 2, (cols + 2) * directions), np.float32)
+    phases = -(-cell // AT_ONCE) * AT_ONCE
+    shares = np.zeros((2, phases), np.float32)
+    shares[1, :cell] = at - np.floor(at)
+    shares[0] = 1 - shares[1]
+    line, strength = np.empty(width + 2, np.int32), np.empty(width, np.int32)
+    index, places = np.empty((2, width), np.uint32)
+    (up, down), votes = np.empty((2, width), np.float32), np.zeros(2 * phases * (cols + 1) * directions, np.float32)
+    histograms = np.empty((count, rows + 2, cols + 2, directions), np.float32)
     energy = np.empty((2, rows + 2, cols + 2), np.float32)
-    return votes, first.astype(np.uint32), shares, pixels, weights, histogram, energy
+    return first.astype(np.uint32), shares, line, strength, index, places, up, down, votes, histograms, energy
 
 
-@compiled
-def _strongest_gradients(patch: UInt8, y: int, strength: Int32, index: Int32) -> None:
-    """For each pixel of row y of (C, H, W): the gradient's squared strength, and (dy + 255) * 511 + dx + 255."""
-    channels, height, width = patch.shape
-    above, below = max(y - 1, 0), min(y + 1, height - 1)
+@inlined
+def _strongest_gradients(
+    pixels: UInt8, first_row: int, y: int, height: int, channels: int, line: Int32, strength: Int32, index: UInt32
+) -> None:  # fmt: skip
+    """Of a row of pixels (C H, W): the gradient's squared strength, and (dy + 255) * 511 + dx + 255.
+
+    line (W + 2,) is scratch: a channel's row with its border repeated.
+    """
+    cols = strength.size
+    width = np.uint32(cols)
+    above, below = y - (1 if y > 0 else 0), y + (1 if y + 1 < height else 0)
     for x in range(width):
         strength[x] = -1
     for c in range(channels):
-        row, upper, lower = patch[c, y], patch[c, above], patch[c, below]
-        for x in range(1, width - 1):
-            dx, dy = np.int32(row[x + 1]) - np.int32(row[x - 1]), np.int32(lower[x]) - np.int32(upper[x])
+        begin = first_row + c * height
+        here, upper, lower = (
+            np.uint32((begin + y) * cols),
+            np.uint32((begin + above) * cols),
+            np.uint32((begin + below) * cols),
+        )
+        for x in range(width):
+            line[x + np.uint32(1)] = pixels[here + x]
+        line[0], line[cols + 1] = line[1], line[cols]
+        for x in range(width):
+            dx = line[x + np.uint32(2)] - line[x]
+            dy = np.int32(pixels[lower + x]) - np.int32(pixels[upper + x])
             square = dx * dx + dy * dy
             better = square > strength[x]
             strength[x] = square if better else strength[x]
             index[x] = (dy + 255) * 511 + dx + 255 if better else index[x]
-        for x in (0, width - 1):
-            dx = np.int32(row[min(x + 1, width - 1)]) - np.int32(row[max(x - 1, 0)])
-            dy = np.int32(lower[x]) - np.int32(upper[x])
-            if dx * dx + dy * dy > strength[x]:
-                strength[x], index[x] = dx * dx + dy * dy, (dy + 255) * 511 + dx + 255
 
 
 @compiled
-def _add_up(votes: Float32, shares: Float32, cells: Float32, further: Float32) -> None:
-    """Add a row of cells' votes to these cells and to those one further; the votes are zero afterwards."""
-    plane, one = votes.size // shares.size, np.float32(1)
-    if shares.size == 4:  # the usual size of a cell: each sum of four in one go
-        v0, v1, v2, v3 = votes[:plane], votes[plane:], votes[2 * plane :], votes[3 * plane :]
-        w0, w1, w2, w3 = shares[0], shares[1], shares[2], shares[3]
-        for i in range(plane):
-            further[i] += v0[i] * w0 + v1[i] * w1 + v2[i] * w2 + v3[i] * w3
-        w0, w1, w2, w3 = one - w0, one - w1, one - w2, one - w3
-        for i in range(plane):
-            cells[i] += v0[i] * w0 + v1[i] * w1 + v2[i] * w2 + v3[i] * w3
-    else:
-        for phase in range(shares.size):
-            of_phase, right = votes[phase * plane :], shares[phase]
-            for i in range(plane):
-                further[i] += of_phase[i] * right
-            for i in range(plane):
-                cells[i] += of_phase[i] * (one - right)
-    for i in range(votes.size):
-        votes[i] = np.float32(0)
-
-
-@compiled
-def _histogram(patch: UInt8, cell: int, bins: UInt8, work: Scratch) -> None:
-    """Bilinear votes into the scratch's histogram (rows + 2, (cols + 2) 18), whose margin takes what falls outside.
+def _histograms(
+    pixels: UInt8, channels: int, cell: int, bins: UInt8, first: UInt32, shares: Float32, line: Int32,
+    strength: Int32, index: UInt32, places: UInt32, up: Float32, down: Float32, votes: Float32, out: Float32,
+    shape: tuple[int, int, int],
+) -> None:  # fmt: skip
+    """Bilinear votes into histograms (N, rows + 2, (cols + 2) 18), whose margin takes what falls outside.
 
     Neighbours in a row vote for one cell: each of the `cell` columns that share a cell has votes of its own, which are
     added up when their rows are done.  Otherwise each vote would wait for the one before.
     """
-    votes, first, shares, pixels, weights, histogram, _ = work
-    strength, index, at, bin_of = pixels[0], pixels[1], pixels[2], bins.ravel()
-    up, down = weights[0], weights[1]
-    rows, directions = patch.shape[1] // cell, 2 * ORIENTATIONS
-    scale = np.float32(1.0 / 510.0)
-    upper_votes, lower_votes = votes[0], votes[1]
-    for i in range(histogram.shape[1]):
-        histogram[0, i] = np.float32(0)
-    before = (cell + 1) // 2
-    for row in range(rows + 1):
-        for y in range(max(row * cell - before, 0), min((row + 1) * cell - before, rows * cell)):
-            _strongest_gradients(patch, y, strength, index)
-            share = shares[(y + before) % cell]
-            for x in range(first.size):
-                magnitude = np.sqrt(np.float32(strength[x])) * scale
-                down[x] = magnitude * share
-                up[x] = magnitude - down[x]
-            for x in range(first.size):
-                at[x] = first[x] + bin_of[np.uint32(index[x])]
-            for x in range(first.size):
-                upper_votes[np.uint32(at[x])] += up[x]
-                lower_votes[np.uint32(at[x])] += down[x]
-        for i in range(histogram.shape[1]):
-            histogram[row + 1, i] = np.float32(0)
-        for which in range(2):
-            _add_up(votes[which], shares, histogram[row + which], histogram[row + which, directions:])
+    count, rows, cols = shape
+    directions, width, plane = 2 * ORIENTATIONS, np.uint32(first.size), np.uint32((cols + 1) * 2 * ORIENTATIONS)
+    lower_votes, scale = np.uint32(votes.size // 2), np.float32(1.0 / 510.0)
+    for n in range(count):
+        for row in range(rows + 1):
+            for phase in range(cell):
+                y = row * cell - (cell + 1) // 2 + phase
+                if y < 0 or y >= rows * cell:
+                    continue
+                _strongest_gradients(
+                    pixels, n * channels * rows * cell, y, rows * cell, channels, line, strength, index
+                )
+                share = shares[1, phase]
+                for x in range(width):
+                    magnitude = np.sqrt(np.float32(strength[x])) * scale
+                    down[x] = magnitude * share
+                    up[x] = magnitude - down[x]
+                for x in range(width):
+                    places[x] = first[x] + bins[index[x]]
+                for x in range(width):
+                    votes[places[x]] += up[x]
+                    votes[lower_votes + places[x]] += down[x]
+            for which in range(2):
+                for phase in range(0, shares.shape[1], AT_ONCE):
+                    v0 = np.uint32(which * shares.shape[1] + phase) * plane
+                    v1 = v0 + plane
+                    v2 = v1 + plane
+                    v3 = v2 + plane
+                    for side in range(1, -1, -1):  # the cells one further, and these
+                        w0, w1, w2, w3 = (shares[side, phase], shares[side, phase + 1], shares[side, phase + 2],
+                                          shares[side, phase + 3])  # fmt: skip
+                        into = np.uint32(((n * (rows + 2) + row + which) * (cols + 2) + side) * directions)
+                        for i in range(plane):
+                            out[into + i] += (
+                                votes[v0 + i] * w0 + votes[v1 + i] * w1 + votes[v2 + i] * w2 + votes[v3 + i] * w3
+                            )
+            for i in range(np.uint32(votes.size)):
+                votes[i] = np.float32(0)
 
 
 @compiled
-def fhog(patch: UInt8, cell: int, bins: UInt8, work: Scratch, window: Float32, out: Float32) -> None:
-    """Write the FHOG of (C, H, W) times the window into `out[..., :31]`; same as `fhog_numpy` with a window of ones.
-
-    `out` is (W/cell, H/cell, >= 31) and the window (W/cell, H/cell): first axis across.
-    """
-    _histogram(patch, cell, bins, work)
-    histogram, energy, norm = work[5], work[6][0], work[6][1]
-    rows, cols, directions = patch.shape[1] // cell, patch.shape[2] // cell, 2 * ORIENTATIONS
-    for r in range(1, rows + 1):
-        for c in range(1, cols + 1):
-            here, total = histogram[r, c * directions : (c + 1) * directions], np.float32(0)
-            for o in range(ORIENTATIONS):
-                both = here[o] + here[o + ORIENTATIONS]
-                total += both * both
-            energy[r, c] = total
-    for r in range(1, rows + 1):
-        energy[r, 0], energy[r, cols + 1] = energy[r, 1], energy[r, cols]
-    for c in range(cols + 2):
-        energy[0, c], energy[rows + 1, c] = energy[1, c], energy[rows, c]
-    for r in range(rows + 1):
-        for c in range(cols + 1):
-            block = energy[r, c] + energy[r + 1, c] + energy[r, c + 1] + energy[r + 1, c + 1]
-            norm[r, c] = np.float32(1.0) / np.sqrt(block + np.float32(EPSILON))
+def _normalised(
+    histograms: Float32, energy: Float32, windows: Float32, out: Float32, shape: tuple[int, int, int]
+) -> None:  # fmt: skip
+    """Cells of histograms by the energy of their blocks, times the window; out (N, cols, rows, D), flat."""
+    (count, rows, cols), directions, channels = shape, np.uint32(2 * ORIENTATIONS), out.size // windows.size
     clip, half, gain = np.float32(CLIP), np.float32(0.5), np.float32(TEXTURE_GAIN)
-    for r in range(rows):
-        for c in range(cols):
-            n0, n1, n2, n3 = norm[r, c], norm[r, c + 1], norm[r + 1, c], norm[r + 1, c + 1]
-            t0 = t1 = t2 = t3 = np.float32(0)
-            here, cell_out, share = histogram[r + 1, (c + 1) * directions :], out[c, r], window[c, r]
-            for o in range(2 * ORIENTATIONS):
-                h = here[o]
-                h0, h1, h2, h3 = min(h * n0, clip), min(h * n1, clip), min(h * n2, clip), min(h * n3, clip)
-                cell_out[o] = (h0 + h1 + h2 + h3) * half * share
-                t0, t1, t2, t3 = t0 + h0, t1 + h1, t2 + h2, t3 + h3
-            for o in range(ORIENTATIONS):
-                h = here[o] + here[o + ORIENTATIONS]
-                both = min(h * n0, clip) + min(h * n1, clip) + min(h * n2, clip) + min(h * n3, clip)
-                cell_out[directions + o] = both * half * share
-            first = 3 * ORIENTATIONS
-            cell_out[first], cell_out[first + 1] = gain * t0 * share, gain * t1 * share
-            cell_out[first + 2], cell_out[first + 3] = gain * t2 * share, gain * t3 * share
+    orientations = np.uint32(ORIENTATIONS)
+    for n in range(count):
+        for r in range(1, rows + 1):
+            for c in range(1, cols + 1):
+                at, total = np.uint32(((n * (rows + 2) + r) * (cols + 2) + c) * 2 * ORIENTATIONS), np.float32(0)
+                for o in range(orientations):
+                    both = histograms[at + o] + histograms[at + orientations + o]
+                    total += both * both
+                energy[0, r, c] = total
+            energy[0, r, 0], energy[0, r, cols + 1] = energy[0, r, 1], energy[0, r, cols]
+        for c in range(cols + 2):
+            energy[0, 0, c], energy[0, rows + 1, c] = energy[0, 1, c], energy[0, rows, c]
+        for r in range(rows + 1):
+            for c in range(cols + 1):
+                block = energy[0, r, c] + energy[0, r + 1, c] + energy[0, r, c + 1] + energy[0, r + 1, c + 1]
+                energy[1, r, c] = np.float32(1.0) / np.sqrt(block + np.float32(EPSILON))
+        for r in range(rows):
+            for c in range(cols):
+                n0, n1, n2, n3 = energy[1, r, c], energy[1, r, c + 1], energy[1, r + 1, c], energy[1, r + 1, c + 1]
+                t0 = t1 = t2 = t3 = np.float32(0)
+                at = np.uint32(((n * (rows + 2) + r + 1) * (cols + 2) + c + 1) * 2 * ORIENTATIONS)
+                place = (n * cols + c) * rows + r
+                into, share = np.uint32(place * channels), windows[place]
+                for o in range(directions):
+                    h = histograms[at + o]
+                    h0, h1, h2, h3 = min(h * n0, clip), min(h * n1, clip), min(h * n2, clip), min(h * n3, clip)
+                    out[into + o] = (h0 + h1 + h2 + h3) * half * share
+                    t0, t1, t2, t3 = t0 + h0, t1 + h1, t2 + h2, t3 + h3
+                for o in range(orientations):
+                    h = histograms[at + o] + histograms[at + orientations + o]
+                    both = min(h * n0, clip) + min(h * n1, clip) + min(h * n2, clip) + min(h * n3, clip)
+                    out[into + directions + o] = both * half * share
+                texture = into + directions + orientations
+                out[texture] = gain * t0 * share
+                out[texture + np.uint32(1)] = gain * t1 * share
+                out[texture + np.uint32(2)] = gain * t2 * share
+                out[texture + np.uint32(3)] = gain * t3 * share
+
+
+def fhog(patches: UInt8, cell: int, bins: UInt8, work: Scratch, windows: Float32, out: Float32) -> None:
+    """Write the FHOG of patches (N, C, H, W) times windows into `out[..., :31]`; as `fhog_numpy` with windows of ones.
+
+    `out` is (N, W/cell, H/cell, >= 31) and the windows (N, W/cell, H/cell): first axis of a patch across.
+    """
+    histograms, energy = work[-2:]
+    shape, flat = (len(patches), out.shape[2], out.shape[1]), histograms.reshape(-1)
+    flat.fill(0)
+    _histograms(patches.reshape(-1), patches.shape[1], cell, bins.reshape(-1), *work[:-2], flat, shape)
+    _normalised(flat, energy, windows.reshape(-1), out.reshape(-1), shape)

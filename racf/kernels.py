@@ -18,7 +18,12 @@ CallableT = TypeVar("CallableT", bound=Callable[..., Any])
 def compiled(function: CallableT) -> CallableT:
     """Decorate a kernel: compiled by numba when it first runs, and cached if there is a folder for that.
 
-    Kernels take their scratch arrays as arguments: allocating within costs more to compile than all the rest.
+    A tracker cannot start before all are compiled, so they are written to compile fast.  Scratch arrays are arguments:
+    allocating within costs more to compile than all the rest.  Arrays are flat, at unsigned places: each view of a row
+    costs more than the sums on it, and numba checks signed places, which also keeps loops from vectorising (what an
+    unsigned place and a literal add up to is signed: hence `np.uint32(1)`).  What a loop writes and reads are arrays of
+    their own, or the checks whether they overlap keep it from vectorising.  No kernel calls another: a callee is
+    compiled by itself and then again in each caller, and numba's cache would not notice that its file changed.
     """
     # Nothing calls these from C: without the wrapper for that they compile sooner.
     options: dict[str, Any] = {"fastmath": True, "error_model": "numpy", "no_cfunc_wrapper": True}
@@ -48,7 +53,7 @@ class Announcer(event.Listener):
             return
         self.said = True
         if self.cached:
-            LOG.warning("compiling the tracker's kernels, once for this machine: this may take half a minute")
+            LOG.warning("compiling the tracker's kernels, once for this machine: this takes some seconds")
         else:
             LOG.warning(
                 "compiling the tracker's kernels, in each process: neither the package's folder nor a home can be "

@@ -1,6 +1,7 @@
 """From the frame to fixed-size samples: the only file that turns `(x, y)` geometry into `[row, col]` pixels."""
 
 import math
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
@@ -11,6 +12,8 @@ from racf.kernels import compiled
 UInt8 = NDArray[np.uint8]
 UInt32 = NDArray[np.uint32]
 Int32 = NDArray[np.int32]
+Float64 = NDArray[np.float64]
+Grids = Float64 | Sequence[tuple[float, float, float, float]]
 
 
 def shrunk(image: UInt8, region: tuple[float, float, float, float], factor: int) -> tuple[UInt8, float, float]:
@@ -43,51 +46,59 @@ def _read_only(image: UInt8) -> UInt8:
 
 
 @compiled
-def _taps(first: float, step: float, stride: int, size: int, places: UInt32, weights: Int32) -> None:
-    """Both neighbours of each sampling place, in 0..size-1, times `stride`; the second one's weight in 1/256."""
-    for i in range(weights.size):
-        at = min(max(first + step * i, 0.0), size - 1.0)
-        whole = int(at)
-        places[0, i], places[1, i] = whole * stride, min(whole + 1, size - 1) * stride
-        weights[i] = int((at - whole) * 256 + 0.5)
-
-
-@compiled
-def bilinear(
-    source: UInt8, first_x: float, step_x: float, first_y: float, step_y: float,
-    places: UInt32, weights: Int32, line: Int32, out: UInt8,
+def _sampled(
+    source: UInt8, channels: int, grids: Float64, places: UInt32, weights: Int32, line: Int32, out: UInt8,
+    shape: tuple[int, int],
 ) -> None:  # fmt: skip
-    """Sample (H, W, C) at x = first_x + j step_x, y = first_y + i step_y into (C, h, w); border pixels repeat.
+    """See `bilinear`; source (H, W C) and out (N, C, h, w) flat, places (2, 2, side) and weights (2, side) scratch."""
+    rows, cols = shape
+    size, width = np.uint32(shape[1]), np.uint32(line.size)
+    for n in range(grids.shape[0]):
+        for axis in range(2):
+            first, step, last, stride = grids[n, axis, 0], grids[n, axis, 1], grids[n, axis, 2], grids[n, axis, 3]
+            for i in range(shape[1 - axis]):
+                at = first + step * i
+                at = at if at > 0.0 else 0.0
+                at = at if at < last else last
+                whole = np.floor(at)
+                places[axis, 0, i] = np.uint32(whole * stride)
+                places[axis, 1, i] = np.uint32((whole + 1.0 if whole < last else whole) * stride)
+                weights[axis, i] = np.int32((at - whole) * 256 + 0.5)
+        begin = places[0, 0, 0]
+        for j in range(size):
+            places[0, 0, j] -= begin
+            places[0, 1, j] -= begin
+        count = np.uint32(places[0, 1, cols - 1] + channels)
+        for i in range(rows):
+            upper = np.uint32(places[1, 0, i] * width + begin)
+            lower = np.uint32(places[1, 1, i] * width + begin)
+            share = weights[1, i]
+            for j in range(count):
+                line[j] = 256 * np.int32(source[upper + j]) + share * (
+                    np.int32(source[lower + j]) - np.int32(source[upper + j])
+                )
+            for c in range(channels):
+                into, of_c = np.uint32(((n * channels + c) * rows + i) * cols), line[c:]
+                for j in range(size):
+                    left, right = of_c[places[0, 0, j]], of_c[places[0, 1, j]]
+                    out[into + j] = (256 * left + weights[0, j] * (right - left) + 32768) >> 16
 
-    Axes do not mix, so each row is first blended from two source rows, then each pixel from two of its columns:
-    what `cv2.remap` does with a map, without the map.  Planes, because every later loop wants one channel in a row.
-    `places`, `weights` and `line` are scratch, see `scratch`.
+
+def bilinear(source: UInt8, grids: Grids, out: UInt8) -> None:
+    """Sample (H, W, C) into (N, C, h, w): the n-th at x = first_x + j step_x, y = first_y + i step_y.
+
+    `grids` (N, 4): first_x, step_x, first_y, step_y.  Border pixels repeat.  Axes do not mix, so each row is first
+    blended from two source rows, then each pixel from two of its columns: what `cv2.remap` does with a map, without the
+    map.  Planes, because every later loop wants one channel in a row.
     """
-    channels, rows, cols = out.shape
-    # Unsigned places spare numba the check for Python's negative indices, which would keep loops from vectorising.
-    x_place, y_place, x_weight, y_weight = places[:, :cols], places[:, cols:], weights[:cols], weights[cols:]
-    _taps(first_x, step_x, channels, source.shape[1], x_place, x_weight)
-    _taps(first_y, step_y, 1, source.shape[0], y_place, y_weight)
-    begin, end = np.int64(x_place[0, 0]), np.int64(x_place[1, cols - 1]) + channels
-    for j in range(cols):
-        x_place[0, j] -= np.uint32(begin)
-        x_place[1, j] -= np.uint32(begin)
-    flat = source.reshape(source.shape[0], -1)
-    for i in range(rows):
-        upper, lower, share = flat[y_place[0, i], begin:end], flat[y_place[1, i], begin:end], y_weight[i]
-        for j in range(end - begin):
-            line[j] = 256 * np.int32(upper[j]) + share * (np.int32(lower[j]) - np.int32(upper[j]))
-        for c in range(channels):
-            plane, from_c = out[c, i], line[c:]
-            for j in range(cols):
-                left, right = from_c[x_place[0, j]], from_c[x_place[1, j]]
-                plane[j] = (256 * left + x_weight[j] * (right - left) + 32768) >> 16
-
-
-def scratch(source: UInt8, rows: int, cols: int) -> tuple[UInt32, Int32, Int32]:
-    """What `bilinear` works with between a source and an output of this size."""
-    line = np.empty(source.shape[1] * source.shape[2], np.int32)
-    return np.empty((2, rows + cols), np.uint32), np.empty(rows + cols, np.int32), line
+    rows, cols, channels = source.shape
+    _, _, high, wide = out.shape
+    axes = np.empty((len(out), 2, 4))
+    axes[..., :2] = np.reshape(grids, (-1, 2, 2))
+    axes[..., 2], axes[..., 3] = (cols - 1, rows - 1), (channels, 1)
+    side, line = max(high, wide), np.empty(cols * channels, np.int32)
+    _sampled(source.reshape(-1), channels, axes, np.empty((2, 2, side), np.uint32), np.empty((2, side), np.int32), line,
+             out.reshape(-1), (high, wide))  # fmt: skip
 
 
 def resample(
@@ -105,5 +116,5 @@ def resample(
     # Source pixel i has its middle at left + (i + 1/2) * factor; output pixel j at x + (j + 1/2) * step.
     first_x = (x + step_x / 2 - left) / factor - 0.5
     first_y = (y + step_y / 2 - top) / factor - 0.5
-    bilinear(source, first_x, step_x / factor, first_y, step_y / factor, *scratch(source, out_h, out_w), out)
+    bilinear(source, [(first_x, step_x / factor, first_y, step_y / factor)], out[None])
     return out

@@ -6,35 +6,42 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from racf.fourier import places
 from racf.kernels import compiled
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 Complex64 = NDArray[np.complex64]
 Complex128 = NDArray[np.complex128]
+UInt32 = NDArray[np.uint32]
 
 
-@compiled
 def correlate(z_f: Float32, g_f: Float32, out: Complex64) -> None:
     """out = sum_d z_d conj(g_d): folded spectra -> (H, W//2 + 1).
 
     The mirror of Eq. 15, so that a shift of the target has its own sign in the map.
     """
-    rows, channels = out.shape[0], z_f.shape[4]
-    for k in range(z_f.shape[1]):
-        for n in range(z_f.shape[3]):
-            z_p, z_pi, z_q, z_qi = z_f[0, k, 0, n], z_f[0, k, 1, n], z_f[1, k, 0, n], z_f[1, k, 1, n]
-            g_p, g_pi, g_q, g_qi = g_f[0, k, 0, n], g_f[0, k, 1, n], g_f[1, k, 0, n], g_f[1, k, 1, n]
-            re1 = im1 = re2 = im2 = np.float32(0)
-            for m in range(channels):
-                a1, b1, a2, b2 = z_p[m] + z_qi[m], z_pi[m] - z_q[m], z_p[m] - z_qi[m], z_pi[m] + z_q[m]
-                c1, d1, c2, d2 = g_p[m] + g_qi[m], g_pi[m] - g_q[m], g_p[m] - g_qi[m], g_pi[m] + g_q[m]
-                re1 += a1 * c1 + b1 * d1
-                im1 += b1 * c1 - a1 * d1
-                re2 += a2 * c2 + b2 * d2
-                im2 += b2 * c2 - a2 * d2
-            out[(rows - k) % rows, n] = complex(re2, im2)
-            out[k, n] = complex(re1, im1)
+    at = places(*out.shape, z_f.shape[-1])
+    _products(z_f.reshape(-1), g_f.reshape(-1), at, z_f.shape[-1], out.reshape(-1).view(np.float32))
+
+
+@compiled
+def _products(z_f: Float32, g_f: Float32, at: UInt32, channels: int, out: Float32) -> None:
+    """See `correlate`; frequencies k and -k down together, their letters end in 1 and 2."""
+    for i in range(at.shape[0]):
+        p, p_im, q, q_im, first, second = at[i, 0], at[i, 1], at[i, 2], at[i, 3], 2 * at[i, 4], 2 * at[i, 5]
+        re1 = im1 = re2 = im2 = np.float32(0)
+        for m in range(np.uint32(channels)):
+            z_p, z_pi, z_q, z_qi = z_f[p + m], z_f[p_im + m], z_f[q + m], z_f[q_im + m]
+            g_p, g_pi, g_q, g_qi = g_f[p + m], g_f[p_im + m], g_f[q + m], g_f[q_im + m]
+            a1, b1, a2, b2 = z_p + z_qi, z_pi - z_q, z_p - z_qi, z_pi + z_q
+            c1, d1, c2, d2 = g_p + g_qi, g_pi - g_q, g_p - g_qi, g_pi + g_q
+            re1 += a1 * c1 + b1 * d1
+            im1 += b1 * c1 - a1 * d1
+            re2 += a2 * c2 + b2 * d2
+            im2 += b2 * c2 - a2 * d2
+        out[second], out[second + np.uint32(1)] = re2, im2
+        out[first], out[first + np.uint32(1)] = re1, im1
 
 
 def response_map(response_f: Complex64, shape: tuple[int, int]) -> Float32:
@@ -66,9 +73,10 @@ def sharpness(response: Float32, target_cells: tuple[float, float]) -> tuple[flo
     rows, cols = response.shape
     window = (max(row - half_rows, 0), min(row + half_rows + 1, rows), max(col - half_cols, 0),
               min(col + half_cols + 1, cols))  # fmt: skip
-    sums = np.empty(5)
-    _sums(response, *window, sums)
-    total, squares, low, inside, squares_inside = sums.tolist()
+    exact = response.astype(np.float64)
+    near = exact[window[0] : window[1], window[2] : window[3]].ravel()
+    total, squares, low = float(exact.sum()), float(np.vdot(exact, exact)), float(response.min())
+    inside, squares_inside = float(near.sum()), float(near @ near)
     peak, size = float(response[row, col]), response.size
     apce = (peak - low) ** 2 / max((squares - 2 * low * total) / size + low * low, 1e-12)
     count = size - (window[1] - window[0]) * (window[3] - window[2])
@@ -79,54 +87,26 @@ def sharpness(response: Float32, target_cells: tuple[float, float]) -> tuple[flo
     return (peak - mean) / max(math.sqrt(max(variance, 0.0)), 1e-6), apce
 
 
-@compiled
-def _sums(response: Float32, top: int, bottom: int, left: int, right: int, out: Float64) -> None:
-    """Sum, sum of squares and least of a response; sum and sum of squares of its rows top.. and columns left.. ."""
-    total = squares = inside = squares_inside = 0.0
-    low = response[0, 0]
-    for i in range(response.shape[0]):
-        line = response[i]
-        for j in range(line.size):
-            value = np.float64(line[j])
-            total += value
-            squares += value * value
-            low = min(low, line[j])
-        if top <= i < bottom:
-            for j in range(left, right):
-                value = np.float64(line[j])
-                inside += value
-                squares_inside += value * value
-    out[0], out[1], out[2], out[3], out[4] = total, squares, low, inside, squares_inside
+def _slopes(response_f: Complex128, waves: Complex128, row: float, col: float) -> Float64:
+    """First and second derivatives of the response's trigonometric interpolation at a place, times H W.
 
-
-@compiled
-def _slopes(response_f: Complex64, waves: Complex128, steps: Float64, out: Float64) -> None:
-    """First and second derivatives (r, c, rr, rc, cc) of the response's trigonometric interpolation, times H W.
-
-    steps (2, max): the angle per cell of each frequency down and across.  waves: e^(i angle) at the place, those across
-    times how many frequencies each stands for.
+    waves: see `_waves`.  out[i, j] is the i-th derivative down and the j-th across.
     """
     height, half = response_f.shape
-    out[:] = 0.0
-    for i in range(height):
-        ky, down = steps[0, i], waves[0, i]
-        value_re = value_im = value_c_re = value_c_im = value_cc = 0.0
-        for j in range(half):
-            kx = steps[1, j]
-            term = response_f[i, j] * waves[1, j]
-            value_re += term.real
-            value_im += term.imag
-            value_c_re += kx * term.real
-            value_c_im += kx * term.imag
-            value_cc += kx * kx * (term.real * down.real - term.imag * down.imag)
-        re, im = value_re * down.real - value_im * down.imag, value_re * down.imag + value_im * down.real
-        c_re = value_c_re * down.real - value_c_im * down.imag
-        c_im = value_c_re * down.imag + value_c_im * down.real
-        out[0] -= ky * im
-        out[1] -= c_im
-        out[2] -= ky * ky * re
-        out[3] -= ky * c_re
-        out[4] -= value_cc
+    down, across = waves[0, :, :height], waves[1, :, :half]
+    left, right = np.exp(row * down[1]) * down, np.exp(col * across[1]) * across
+    right *= waves[2, 0, :half]
+    return np.asarray((left @ response_f @ right.T).real)
+
+
+@functools.lru_cache(maxsize=16)
+def _waves(height: int, width: int) -> Complex128:
+    """(3, 3, max): 1, i a, (i a)^2 of the angles a a cell of frequencies down; the same across; their counts."""
+    angles, counts = _angles(height, width)
+    waves = (1j * angles[:, None]) ** np.arange(3)[:, None]
+    of_counts = np.zeros_like(waves[:1])
+    of_counts[0, 0, : len(counts)] = counts
+    return np.asarray(np.concatenate([waves, of_counts]), np.complex128)
 
 
 @functools.lru_cache(maxsize=16)
@@ -151,15 +131,9 @@ def refine_peak(response_f: Complex64, width: int, row: float, col: float, steps
     row, col are shifts in cells; steps that leave the starting cell's neighbourhood are not taken.
     """
     start_row, start_col = row, col
-    (height, half), slopes = response_f.shape, np.empty(5)
-    angles, counts = _angles(height, width)
-    place = np.empty((2, 1))
+    exact, waves = response_f.astype(np.complex128), _waves(len(response_f), width)
     for _ in range(steps):
-        place[:, 0] = row, col
-        waves = np.exp(1j * angles * place)
-        waves[1, :half] *= counts
-        _slopes(response_f, waves, angles, slopes)
-        d_r, d_c, d_rr, d_rc, d_cc = slopes.tolist()
+        (_, d_c, d_cc), (d_r, d_rc, _), (d_rr, _, _) = _slopes(exact, waves, row, col).tolist()
         det = d_rr * d_cc - d_rc * d_rc
         if det <= 0 or d_rr >= 0:  # not a maximum here
             break

@@ -6,27 +6,19 @@ F^-1( sum_d num . zsᶠ / (den + lambda) ).
 """
 
 import functools
-import hashlib
 import math
-from collections.abc import Callable
-from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from racf import hog
-from racf import patch as patches
 from racf.box import Box
-from racf.kernels import compiled
 from racf.params import Params
 from racf.patch import bilinear, shrunk
 
 UInt8 = NDArray[np.uint8]
 Float32 = NDArray[np.float32]
 Complex64 = NDArray[np.complex64]
-UInt32 = NDArray[np.uint32]
-Int32 = NDArray[np.int32]
 
 
 class ScaleFilter:
@@ -52,7 +44,7 @@ class ScaleFilter:
         self._bins = hog.orientation_bins()
         rows, cols = self.model_h // cell, self.model_w // cell
         self._hog, self._features = (
-            hog.scratch(rows, cols, cell),
+            hog.scratch(rows, cols, cell, count),
             np.empty((count, cols, rows, hog.CHANNELS), np.float32),
         )
         window = np.hanning(count + 2)[1:-1].astype(np.float32)
@@ -62,16 +54,19 @@ class ScaleFilter:
         self._at_hand: tuple[Box, Complex64] | None = None
 
     def sample(self, image: UInt8, box: Box) -> Complex64:
-        """(s//2 + 1, d) spectrum over scales of the target's windowed FHOG; one compiled call serves all scales."""
+        """(s//2 + 1, d) spectrum over scales of the target's windowed FHOG; all scales in one call of each kernel."""
         x, y, w, h = box.centre_x, box.centre_y, box.w, box.h
         factor = max(int(min(w / self.model_w, h / self.model_h)), 1)
         reach = float(self.factors[-1])
         source, left, top = shrunk(image, (x - w * reach / 2, y - h * reach / 2, w * reach, h * reach), factor)
-        patch = np.empty((source.shape[2], self.model_h, self.model_w), np.uint8)
-        target = ((x - left) / factor, (y - top) / factor, w / factor, h / factor)
-        room = patches.scratch(source, self.model_h, self.model_w)
-        _describe(source, self.factors, target, self.params.cell_px, self._bins, room, self._hog, self._windows, patch,
-                  self._features)  # fmt: skip
+        high, wide = self.model_h, self.model_w
+        steps = self.factors[:, None] * (w / factor / wide, h / factor / high)
+        grids = np.empty((len(steps), 2, 2))
+        grids[..., 0] = ((x - left) / factor, (y - top) / factor) - steps * ((wide - 1) / 2, (high - 1) / 2) - 0.5
+        grids[..., 1] = steps
+        patches = np.empty((len(steps), source.shape[2], high, wide), np.uint8)
+        bilinear(source, grids.reshape(-1, 4), patches)
+        hog.fhog(patches, self.params.cell_px, self._bins, self._hog, self._windows, self._features)
         return _complex(self._waves @ self._features.reshape(self.params.scales, -1))
 
     def estimate(self, image: UInt8, box: Box) -> int:
@@ -97,38 +92,6 @@ class ScaleFilter:
         rate = np.float32(self.params.scale_learning_rate)
         self._num += rate * (num - self._num)
         self._den += rate * (den - self._den)
-
-
-def _compiled(calls: str) -> Callable[..., None]:
-    """The kernel `describe`; `calls` is a digest of the files whose kernels it calls.
-
-    numba's cache asks only the kernel's own file whether it changed, and would go on with machine code of the others as
-    they were; but what a kernel closes over belongs to its key.
-    """
-
-    @compiled
-    def describe(
-        source: UInt8, factors: NDArray[np.float64], target: tuple[float, float, float, float], cell: int,
-        bins: UInt8, room: tuple[UInt32, Int32, Int32], work: hog.Scratch, windows: Float32, patch: UInt8, out: Float32,
-    ) -> None:  # fmt: skip
-        """FHOG of `target` (centre x, y, w, h) at each scale, windowed, into `out` (s, cols, rows, 31)."""
-        _ = calls
-        x, y, w, h = target
-        for i in range(factors.size):
-            step_x, step_y = w * factors[i] / patch.shape[2], h * factors[i] / patch.shape[1]
-            first_x, first_y = x - step_x * (patch.shape[2] - 1) / 2 - 0.5, y - step_y * (patch.shape[1] - 1) / 2 - 0.5
-            bilinear(source, first_x, step_x, first_y, step_y, room[0], room[1], room[2], patch)
-            hog.fhog(patch, cell, bins, work, windows[i], out[i])
-
-    return describe
-
-
-def _digest(*modules: ModuleType) -> str:
-    """Of their source."""
-    return hashlib.sha256(b"".join(Path(str(m.__file__)).read_bytes() for m in modules)).hexdigest()
-
-
-_describe = _compiled(_digest(patches, hog))
 
 
 @functools.lru_cache(maxsize=4)

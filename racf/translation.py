@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,7 +12,6 @@ from racf.box import Box
 from racf.features import Features
 from racf.filter import Solver
 from racf.fourier import PrunedDft
-from racf.kernels import compiled
 from racf.params import Params
 from racf.patch import resample
 
@@ -34,13 +34,11 @@ class Match:
     apce: float
 
 
-@compiled
 def approach(model: Float32, sample: Float32, residue: Float32, rate: np.float32) -> None:
     """residue = sample - model, then model += rate residue (Eq. 14), on arrays of one shape."""
-    flat, new, apart = model.ravel(), sample.ravel(), residue.ravel()
-    for i in range(flat.size):
-        apart[i] = new[i] - flat[i]
-        flat[i] += rate * apart[i]
+    flat, apart = model.reshape(1, -1), residue.reshape(1, -1)
+    cv2.subtract(sample.reshape(1, -1), flat, dst=apart)
+    cv2.scaleAdd(apart, float(rate), flat, dst=flat)
 
 
 class TranslationFilter:

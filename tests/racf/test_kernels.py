@@ -11,8 +11,8 @@ import racf
 ONE_KERNEL = """
 import numpy as np
 import racf.tracker
-from racf.translation import approach
-approach(*np.ones((3, 2, 2), np.float32), np.float32(0.5))
+from racf.response import correlate
+correlate(*np.ones((2, 2, 2, 2, 2, 1), np.float32), np.empty((2, 2), np.complex64))
 """
 
 

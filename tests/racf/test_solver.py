@@ -78,7 +78,7 @@ def test_the_compiled_step_equals_the_numpy_equation(gain, rows):
     expected = solve_rank_two_numpy(scaled_x, d, planes(yx) + mu * f - zeta, eta, mu)
     x_f, d_f, f_f, u_f = (folded(z[0] + 1j * z[1]) for z in (x, d, f, u))
     g_f = np.empty_like(u_f)
-    solve_g(x_f, d_f, y, f_f, u_f, g_f, np.float32(eta), np.float32(before), np.float32(mu), np.float32(gain))
+    solve_g(x_f, d_f, y, f_f, u_f, g_f, eta, before, mu, gain)
     np.testing.assert_allclose(planes(unfolded(g_f, rows)), expected, rtol=1e-3, atol=1e-4)
     np.testing.assert_allclose(planes(unfolded(u_f, rows)), mu * expected + zeta, rtol=1e-3, atol=1e-3)
 
