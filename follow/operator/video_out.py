@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from follow.messages import NEVER, Notify, Tick
 from follow.operator.consoles import NOTHING, shown
 from follow.operator.ground_camera import StreamDescription
-from follow.operator.video_stream import Coding, VideoStream, encoder_for
+from follow.operator.video_stream import KEY_S, Coding, VideoStream, encoder_for
 from follow.ranges import require_numbers
 from follow.recording.video_encoder import Encoder
 from follow.recording.worker import Worker
@@ -40,7 +40,9 @@ class VideoConfig:
     rate_hz: float = 30.0
     """Highest frame rate, 1/s."""
     rate_bit_s: int = 2_000_000
-    """Highest bit rate: 2 Mbit/s shows a 640x360 scene at 38 dB in its worst part (docs/ground_station.md)."""
+    """Highest bit rate: 2 Mbit/s shows a 640x360 scene at 37 dB in its worst part (docs/ground_station.md)."""
+    key_s: float = KEY_S
+    """Time between key frames, s: a short one makes lost packets good sooner, a long one looks better at a low rate."""
     encoder: Encoder = Encoder.AUTO
     """Encoder: auto (the board's own H.264 encoder if it opens, else libx264), libx264, h264_v4l2m2m, h264_nvenc."""
     overlay: bool = False
@@ -54,6 +56,8 @@ class VideoConfig:
             raise ValueError(f"video.rate_hz lies in 1..60, not {self.rate_hz:g}")
         if not 100_000 <= self.rate_bit_s <= 20_000_000:
             raise ValueError(f"video.rate_bit_s lies in 100000..20000000, not {self.rate_bit_s}")
+        if not 0.03 <= self.key_s <= 10:
+            raise ValueError(f"video.key_s lies in 0.03..10 s, not {self.key_s:g}")
         if self.encoder is Encoder.JPEG:
             raise ValueError("video.encoder is an H.264 encoder: jpeg is for recordings")
 
@@ -111,7 +115,7 @@ class VideoOut:
         self._next_t_s = NEVER
         self._status = NOTHING
         self._delays: deque[float] = deque(maxlen=DELAYS)
-        coding = Coding(encoder_for(config.encoder), config.rate_hz, config.rate_bit_s)
+        coding = Coding(encoder_for(config.encoder), config.rate_hz, config.rate_bit_s, config.key_s)
         self._worker = Worker("the video", lambda: VideoStream(coding, address.url, report), report, 1, waits=False)
         self.send_to((address.host,) if address.host else ())
 

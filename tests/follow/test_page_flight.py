@@ -10,6 +10,7 @@ import time
 import cv2
 import numpy as np
 import pytest
+from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from follow.messages import Autopilot, Setpoint
@@ -17,8 +18,9 @@ from sim.piloted import HOVERS_S, PilotedLink, RealTimePace
 from sim.scenarios import SCENARIOS, build
 from tests.support.ground_wire import walkers_box
 from tests.support.machine import against_the_clock
+from tests.support.page_killer import flown_last
 from tests.support.page_rig import Window
-from tests.support.real_flight import CONTROL, free_ports, real_flight, until
+from tests.support.real_flight import CONTROL, free_ports, program, real_flight, until
 
 
 def piloted(name="walker", autopilot=Autopilot.PX4):
@@ -138,6 +140,34 @@ def test_a_person_selects_follows_and_stops_in_a_simulated_flight(tmp_path):
         out, said = process.communicate(timeout=60.0)
     assert process.returncode == 0, said
     assert json.loads(out)["modes"]["follow"] > 2.0
+
+
+@pytest.mark.realtime
+def test_a_page_that_dies_in_flight_leaves_the_flight_as_it_was(tmp_path):
+    """Its thread is killed inside the program while the vehicle follows by an order of its window."""
+    (port,) = free_ports(1)
+    host, out = f"127.0.0.1:{port}", tmp_path / "flight"
+    words = ["sim", "walker", "--out", str(out), "--page", host]
+    with program([sys.executable, "-m", "tests.support.page_killer", *words]) as flight:
+        flight.wait_until_said("page: ", 60.0)
+        with connect(f"ws://{host}/window", origin=f"http://{host}", compression=None) as socket:
+            socket.send("0123456789abcdef")
+            window = Window(None, socket)
+            watch(window, lambda w: len(w.images) > 10, 60.0)
+            header, jpeg = window.images[-1]
+            window.send(do="select", frame=header["frame"], box=blue_walker(jpeg))
+            watch(window, lambda w: w.status["state"] == "TRACKING", 10.0)
+            window.order("follow")
+            watch(window, lambda w: w.status["state"] == "FOLLOWING", 10.0)
+            flight.process.send_signal(signal.SIGUSR2)
+            flight.wait_until_said("the page has ended .*: the flight goes on without it", 10.0)
+            with pytest.raises(ConnectionClosed):
+                watch(window, lambda _w: False, 30.0)
+        time.sleep(6.0)
+        assert flight.end(signal.SIGTERM) == 0, flight.lines
+    modes, sent = flown_last(out, 2.0)  # a loaded machine flies slower than the clock
+    assert modes == {"follow"}
+    assert sent
 
 
 @pytest.mark.realtime

@@ -28,7 +28,7 @@ from follow.operator.video_out import (
     parse_video,
     stream_size,
 )
-from follow.operator.video_stream import Coding, VideoStream, encoder_for
+from follow.operator.video_stream import KEY_S, Coding, VideoStream, encoder_for
 from follow.recording.video_encoder import Encoder
 from follow.selection import TrackingState, TrackingStatus
 from racf.commandline import UsageError
@@ -81,9 +81,11 @@ def test_each_frame_leaves_at_once_as_packets_of_payload_type_96_and_one_stamp()
     assert all((b - a) % 65536 == 1 for a, b in itertools.pairwise(numbers))
 
 
-def test_parameters_and_a_key_frame_come_four_times_a_second():
-    keys = [n for n, packets in enumerate(flown(61)) if {7, 8, 5} <= nal_types(packets)]
-    assert keys == list(range(0, 61, 8))
+@pytest.mark.parametrize(("key_s", "frames"), [(KEY_S, 3), (0.25, 8), (0.01, 1)])
+def test_parameters_and_a_key_frame_come_as_often_as_they_should(key_s, frames):
+    coding = Coding("libx264", 30.0, 2_000_000, key_s)
+    keys = [n for n, packets in enumerate(flown(61, coding)) if {7, 8, 5} <= nal_types(packets)]
+    assert keys == list(range(0, 61, frames))
 
 
 def test_a_board_encoder_that_keeps_its_parameters_to_itself_has_them_repeated(monkeypatch):
@@ -97,7 +99,7 @@ def test_a_board_encoder_that_keeps_its_parameters_to_itself_has_them_repeated(m
 
     monkeypatch.setattr(video_stream, "add_h264", with_header)
     keys = [n for n, packets in enumerate(flown(20)) if {7, 8} <= nal_types(packets)]
-    assert keys == [0, 8, 16]
+    assert keys == list(range(0, 20, 3))
 
 
 def test_what_is_received_is_what_was_shown_in_order():
@@ -123,14 +125,42 @@ def test_ten_percent_of_lost_packets_are_forgotten_within_a_second_of_the_loss(s
         assert np.array_equal(got[stamp], want[stamp])
 
 
-def test_a_lost_packet_costs_a_strip_and_not_the_image():
-    frames = flown(9)
+def test_no_packet_goes_out_twice():
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ear,
+        contextlib.closing(VideoStream(CODING, "", print)) as stream,
+    ):
+        ear.bind(("127.0.0.1", 0))
+        ear.settimeout(5.0)
+        stream.send_to((ear.getsockname(),))
+        assert stream.show(numbered(0, SIZE), 1e5)
+        heard = [ear.recv(2048)]
+        while heard[-1][1] >> 7 == 0:  # the last packet of a frame is marked
+            heard.append(ear.recv(2048))
+        assert len(set(heard)) == len(heard)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_while_ten_percent_are_lost_no_second_passes_without_a_whole_image(seed):
+    dice, frames = random.Random(seed), flown(300)
     lossy, whole = Receiver(SIZE), Receiver(SIZE)
-    key = frames[8]
-    lost = [*frames[:8], key[: len(key) // 2] + key[len(key) // 2 + 1 :]]
+    got, want = {}, {}
+    for packets in frames:
+        got.update(lossy.stamped([packet for packet in packets if dice.random() > 0.1]))
+        want.update(whole.stamped(packets))
+    good = [n for n, stamp in enumerate(sorted(want)) if stamp in got and np.array_equal(got[stamp], want[stamp])]
+    assert len(good) < 270, "the loss was seen"
+    assert np.diff([-1, *good, len(want)]).max() <= 30
+
+
+def test_a_lost_packet_costs_a_strip_and_not_the_image():
+    frames = flown(7)
+    lossy, whole = Receiver(SIZE), Receiver(SIZE)
+    key = frames[6]
+    lost = [*frames[:6], key[: len(key) // 2] + key[len(key) // 2 + 1 :]]
     got = [image for packets in lost for image in lossy.take(packets)] + lossy.end()
     want = [image for packets in frames for image in whole.take(packets)] + whole.end()
-    spoilt_rows = np.abs(got[8].astype(int) - want[8]).max(axis=(1, 2)) > 0
+    spoilt_rows = np.abs(got[6].astype(int) - want[6]).max(axis=(1, 2)) > 0
     assert 0 < spoilt_rows.sum() < 0.35 * SIZE[1]
 
 
