@@ -72,11 +72,11 @@ def live_row(
     absent_s: float = 3.0,
 ) -> tuple[str, ...]:
     """Watch a stream for `seconds`, break it for `absent_s`, and wait for it."""
-    lines: list[str] = []
+    again = "no"
     open_()
     began_s = time.monotonic()
     try:
-        with LiveVideo(name, lines.append) as camera:
+        with LiveVideo(name, lambda _line: None) as camera:
             opened_s = time.monotonic() - began_s
             got: list[tuple[float, int, float]] = []
             broken_s = back_s = 0.0
@@ -90,11 +90,11 @@ def live_row(
                 if broken_s and not back_s and now_s > broken_s + absent_s:
                     back_s = now_s
                     open_()
-                if back_s and ((frame is not None and len(lines) >= 2) or now_s > back_s + 15.0):
+                if back_s and (frame is not None or now_s > back_s + 15.0):
+                    again = "no" if frame is None else f"{now_s - back_s:.1f} s"
                     break
     finally:
         break_()
-    again = f"{time.monotonic() - back_s:.1f} s" if len(lines) >= 2 else "no"
     first, last = got[0][1], got[-1][1]
     timed = [(now, due, t) for now, n, t in got if (due := due_s(n)) is not None]
     delay = np.percentile([now - due for now, due, _ in timed], (50, 95)) if timed else None
