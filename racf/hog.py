@@ -122,7 +122,7 @@ def _strongest_gradients(
         for x in range(width):
             dx = line[x + np.uint32(2)] - line[x]
             dy = np.int32(pixels[lower + x]) - np.int32(pixels[upper + x])
-            square = dx * dx + dy * dy
+            square = np.int32(dx * dx + dy * dy)  # numba's products of 32 bits have 64
             better = square > strength[x]
             strength[x] = square if better else strength[x]
             index[x] = (dy + 255) * 511 + dx + 255 if better else index[x]

@@ -81,7 +81,7 @@ def _sampled(
                 into, of_c = np.uint32(((n * channels + c) * rows + i) * cols), line[c:]
                 for j in range(size):
                     left, right = of_c[places[0, 0, j]], of_c[places[0, 1, j]]
-                    out[into + j] = (256 * left + weights[0, j] * (right - left) + 32768) >> 16
+                    out[into + j] = np.int32(256 * left + weights[0, j] * (right - left) + 32768) >> 16
 
 
 def bilinear(source: UInt8, grids: Grids, out: UInt8) -> None:

@@ -189,9 +189,10 @@ def first_calls(spec: TrackerSpec) -> dict[str, dict[str, float]]:
 
     Cold without compiled kernels, but with Python's bytecode, as pip leaves a package; then warm.
     """
-    first_call(spec, {})  # leaves bytecode also where the package is not installed but worked on
+    written = {"PYTHONDONTWRITEBYTECODE": ""}
+    first_call(spec, written)  # leaves bytecode where no installer did
     with tempfile.TemporaryDirectory() as cache:
-        cold, warm = (first_call(spec, {"NUMBA_CACHE_DIR": cache}) for _ in range(2))
+        cold, warm = (first_call(spec, {**written, "NUMBA_CACHE_DIR": cache}) for _ in range(2))
     return {"cold": cold, "warm": warm}
 
 
