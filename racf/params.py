@@ -49,7 +49,7 @@ class Params:
     penalty: float = 1.0  # mu of the first iteration [ARCF]
     penalty_growth: float = 10.0  # beta: factor on mu from one iteration to the next [ARCF]
     penalty_max: float = 10_000.0  # mu_max: mu grows no further [ARCF]
-    newton_iterations: int = 5  # on the interpolated response [ARCF]
+    newton_iterations: int = 5  # on the interpolated response [ARCF]; the authors' RACF takes none [measured]
 
     # Scale filter [ARCF, fDSST]
     scales: int = 33

@@ -1,6 +1,6 @@
 """What the stored boxes of RACF's authors say about how their program reads the paper.
 
-    python -m tools.studies.authors DATA [--tracker racf-] [--tracker racf-,warm_start=false] [--other ARCF-HC]
+    python -m tools.studies.authors DATA [--tracker racf-] [--tracker racf-,warm_start=false] [--only boat5]
 
 DATA is that of `tools.studies.halves`.  Two questions:
 
@@ -86,6 +86,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", type=Path)
     parser.add_argument("--tracker", action="append", default=None)
+    parser.add_argument("--only", action="append", help="use only this sequence for the agreement; several times")
     parser.add_argument("--other", default="ARCF-HC", help="stored boxes of a tracker that interpolates")
     args = parser.parse_args()
     sequences, params = read_halves(args.data), Params()
@@ -97,10 +98,12 @@ def main() -> None:
         cell = float(np.median(cell_px(boxes, params)))
         if cell >= LEAST_CELL_PX:
             known.append(sequence)
-            cells = " | ".join("{:.2f} ({})".format(*whole_cells(b[sequence.name], params)) for b in (stored, other))
+            shares = (whole_cells(b[sequence.name], params) for b in (stored, other))
+            cells = " | ".join(f"{share:.2f} ({count})" if count else "no move" for share, count in shares)
             print(f"| {sequence.name} | {cell:.1f} | {cells} |", flush=True)
     labels = args.tracker or ["racf-"]
     agreed: dict[str, dict[str, float]] = {label: {} for label in labels}
+    known = [s for s in known if args.only is None or s.name in args.only]
     for sequence in known:  # all trackers on one sequence in a row: its images are decoded once
         for label in labels:
             agreed[label][sequence.name] = agreement(sequence, stored[sequence.name], preset(label))
