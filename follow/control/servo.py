@@ -68,8 +68,8 @@ UNCERTAIN = "its range is uncertain: it may be nearer than it seems"
 FARTHEST = 2.5
 """At most this multiple of the stand-off is kept to a target far below."""
 
-KEPT_M = 5.0
-"""Height over the target's ground that the gate keeps close to it: 3 m over a head at 2 m."""
+KEPT_M = 5.5
+"""Height over the target's ground that the gate keeps at the nearest stand-off, 6 m: 3.4 m over a head at 2 m."""
 
 FEET = 0.6
 """The target's feet are kept within this fraction of the way from the middle row to the bottom edge."""

@@ -30,6 +30,9 @@ FULL_CLIMB_M = 0.5
 SPRINT_M_S, SPRINT_STANDOFF_M = 6.0, 3.0
 """Somebody may start to run at the vehicle this fast at any time, and must not come nearer than this."""
 
+JOG_M_S = 3.0
+"""Somebody who starts to run at the vehicle at this speed must not come nearer than `min_standoff_m`."""
+
 NOTICE_S = 1.2
 """From a sudden run to the vehicle's climb: 0.5 s until the estimate shows it, the ramp, the autopilot's response."""
 
@@ -108,14 +111,19 @@ def worst_other(other: OtherSighting | None, state: VehicleState) -> Worst | Non
 def sprint_above_m(range_m: float, limits: Limits) -> float:
     """Height above the head from which the vehicle evades somebody who starts to run at it from `range_m`.
 
-    He is below it after range / SPRINT_M_S; by then it must have climbed to SPRINT_STANDOFF_M.  The retreat, which
-    only begins by then, is left out.
+    He is below it after range / speed; by then it must have climbed to SPRINT_STANDOFF_M if he sprints, and to
+    `min_standoff_m` if he jogs.  The retreat, which only begins by then, is left out.
     """
-    rising_s = max(range_m / SPRINT_M_S - NOTICE_S, 0.0)
-    ramp_s = limits.climb_m_s / limits.climb_accel_m_s2
-    full_s = max(rising_s - ramp_s, 0.0)
-    climbed = limits.climb_accel_m_s2 * min(rising_s, ramp_s) ** 2 / 2 + limits.climb_m_s * full_s
-    return max(min(SPRINT_STANDOFF_M, limits.min_standoff_m) - climbed, 0.0)
+    sprint_m, jog_m = (climbed_m(range_m / speed - NOTICE_S, limits) for speed in (SPRINT_M_S, JOG_M_S))
+    least_m = limits.min_standoff_m
+    return max(min(SPRINT_STANDOFF_M, least_m) - sprint_m, least_m - jog_m, 0.0)
+
+
+def climbed_m(rising_s: float, limits: Limits) -> float:
+    """Height gained in `rising_s` from rest, at the limits of acceleration and speed; 0 for a negative time."""
+    rising_s = max(rising_s, 0.0)
+    ramp_s = min(rising_s, limits.climb_m_s / limits.climb_accel_m_s2)
+    return limits.climb_accel_m_s2 * ramp_s**2 / 2 + limits.climb_m_s * (rising_s - ramp_s)
 
 
 def distance_m(target: Worst) -> float:

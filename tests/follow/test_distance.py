@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from follow.messages import HOVER, Cause, Estimate, Mode, Order, Setpoint
 from follow.safety.distance import (
     DRIFT_M_S,
+    JOG_M_S,
     NOTICE_S,
     SPRINT_M_S,
     SPRINT_STANDOFF_M,
@@ -101,18 +102,19 @@ def test_a_target_that_comes_nearer_makes_the_gate_retreat_and_climb_against_the
     assert HELD["stand-off"] in decision.notes
 
 
-@given(st.floats(0.0, 40.0))
-def test_from_the_height_that_a_run_needs_the_stand_off_is_kept(away):
+@given(st.floats(0.0, 40.0), st.sampled_from([(SPRINT_M_S, SPRINT_STANDOFF_M), (JOG_M_S, LIMITS.min_standoff_m)]))
+def test_from_the_height_that_a_run_needs_the_stand_off_is_kept(away, run):
     """Referee: the climb step by step, with the delay, until the runner is below."""
+    speed, least = run
     above = sprint_above_m(away, LIMITS)
     rate, t_s = 0.0, 0.0
-    while t_s < away / SPRINT_M_S:
+    while t_s < away / speed:
         t_s += 1e-3
         if t_s > NOTICE_S:
             rate = min(rate + LIMITS.climb_accel_m_s2 * 1e-3, LIMITS.climb_m_s)
         above += rate * 1e-3
-    assert above >= SPRINT_STANDOFF_M - 0.01
-    assert sprint_above_m(away, LIMITS) <= SPRINT_STANDOFF_M
+    assert above >= least - 0.01
+    assert sprint_above_m(away, LIMITS) <= LIMITS.min_standoff_m
 
 
 def test_lower_than_a_run_allows_the_gate_climbs_although_nobody_runs():
