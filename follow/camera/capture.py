@@ -95,6 +95,9 @@ class StreamCapture:
             raise CameraError("there is no video in it, or of a codec that FFmpeg does not know")
         self._stream: Any = stream
         context = stream.codec_context
+        if not (context.width and context.height):
+            container.close()
+            raise CameraError("no image came: is it sending, and a key frame at least twice a second?")
         context.thread_type = "SLICE"  # whole frames in threads would hold back one each
         if not context.has_b_frames:
             context.flags |= LOW_DELAY
@@ -242,13 +245,9 @@ def open_stream(name: CameraName, clock: Callable[[], float]) -> StreamCapture:
         raise CameraError(f"camera {name.text!r} cannot be opened: {why}") from None
     clocks: dict[CameraKind, FrameClock] = {CameraKind.DEVICE: KernelClock(), CameraKind.LAVFI: AsItComes()}
     try:
-        capture = StreamCapture(container, clock, taken=clocks.get(name.kind))
-        if 0 in capture.size:
-            capture.close()
-            raise CameraError("no image came: is it sending, and a key frame at least twice a second?")
+        return StreamCapture(container, clock, taken=clocks.get(name.kind))
     except CameraError as error:
         raise CameraError(f"camera {name.text!r} cannot be opened: {error}") from None
-    return capture
 
 
 def _how(name: CameraName) -> tuple[str, str | None, dict[str, str]]:

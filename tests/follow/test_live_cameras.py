@@ -24,7 +24,7 @@ from follow.config import CameraConfig, Config
 from follow.messages import Autopilot, Frame
 from sim.dynamics import Vehicle, VehicleTruth
 from sim.link import SimLink
-from tests.support.clips import number_in
+from tests.support.clips import encode, number_in
 from tests.support.machine import LateError, against_the_clock
 
 PROGRAM = f"{sys.executable} -m tests.support.camera_program"
@@ -209,6 +209,14 @@ def test_a_program_that_gives_no_video_is_refused_with_its_last_line(command, wh
         LiveVideo(f"exec:{command}", print)
     assert "cannot be opened" in str(refusal.value)
     assert why in str(refusal.value)
+
+
+def test_a_file_that_a_program_writes_to_a_pipe_and_that_has_no_size_at_its_start_is_refused(tmp_path):
+    """An MP4 whose index is at its end cannot be read from a pipe."""
+    noise = np.random.default_rng(0).integers(0, 255, (60, 360, 640, 3), np.uint8)
+    clip = encode(tmp_path / "clip.mp4", noise, "mpeg4", format_="mp4")
+    with pytest.raises(CameraError, match=r"cannot be opened: .*; the program ended with status 0"):
+        LiveVideo(f"exec:cat {clip}", print)
 
 
 JPEG = cv2.imencode(".jpg", np.random.default_rng(0).integers(0, 255, (120, 160, 3), np.uint8))[1].tobytes()
