@@ -274,6 +274,7 @@ class Cause(str, Enum):
     REFUSED = "the autopilot refused: {what}"
     IGNORED = "the autopilot did not obey within {seconds:g} s"
     MODE_LEFT = "the vehicle went to {what}"
+    STREAM_PAUSED = "no setpoint was sent in time: this program or its camera stalled"
     DISARMED = "the vehicle is disarmed"
     NOT_SEEN = "target not seen for {seconds:.1f} s"
     SEEN = "target seen"

@@ -112,6 +112,7 @@ SHORT = {
     Cause.STICK_JUMPED: "a stick jumped to its end",
     Cause.IGNORED: "the autopilot does not obey",
     Cause.MODE_LEFT: "ended, mode is {what}",
+    Cause.STREAM_PAUSED: "ended, computer stalled",
     Cause.DISARMED: "ended, disarmed",
     Cause.HOLD_OVER: "ended, nobody took over",
     Cause.LANDED: "ended, on the ground",

@@ -44,7 +44,8 @@ class Authority:
 
     `since_s` is when the mode began, `clear_since_s` since when nothing forbids FOLLOW (None: something does) and
     `clear_t_s` the last round in which nothing did.  `shown` is the finding that READY last waited for, `engaged_from`
-    the vehicle's mode as ENGAGE began and `last` is why BRAKE may not go back to flying.
+    the vehicle's mode as ENGAGE began, `obeyed_in` that in which it last obeyed, `last` is why BRAKE may not go back to
+    flying.
     """
 
     mode: Mode = Mode.OBSERVE
@@ -56,6 +57,7 @@ class Authority:
     clear_t_s: float = NEVER
     shown: str = ""
     engaged_from: str = ""
+    obeyed_in: str = ""
     last: Reason | None = None
     had_remote: bool = False
 
@@ -86,6 +88,8 @@ def judged(now: Authority, facts: Facts, limits: Limits) -> Authority:
     """The authority after one round."""
     t_s, findings = facts.state.t_s, facts.findings
     now = replace(now, had_remote=now.had_remote or facts.state.rc_healthy is True)
+    if facts.state.in_control:
+        now = replace(now, obeyed_in=facts.state.mode)
     if findings:
         now = replace(now, clear_since_s=None)
     else:
@@ -219,7 +223,10 @@ def vehicle_events(now: Authority, facts: Facts, limits: Limits) -> list[Found]:
         found.append((Event.CONTROL_LOST, Reason(Cause.DISARMED)))
     elif (now.mode in FLYING and not state.in_control) or (now.mode is Mode.ENGAGE and strange):
         words = f": {state.said}" if 0.0 <= state.t_s - state.said_t_s <= WORDS_S else ""
-        found.append((Event.CONTROL_LOST, Reason(Cause.MODE_LEFT, f"{state.mode or 'no known mode'}{words}")))
+        left = Reason(Cause.MODE_LEFT, f"{state.mode or 'no known mode'}{words}")
+        # The link gives the vehicle back after a pause of our own, though the autopilot stays in its mode.
+        paused = now.mode in FLYING and state.mode == now.obeyed_in
+        found.append((Event.CONTROL_LOST, Reason(Cause.STREAM_PAUSED) if paused else left))
     if state.refusal:
         found.append((Event.REFUSED, Reason(Cause.REFUSED, state.refusal)))
     if facts.stopping is not None:

@@ -24,6 +24,7 @@ from follow.messages import (
 )
 from follow.safety.gate import Limits, Safety
 from follow.safety.modes import OPEN_MODES, TABLE, Event, Standing
+from tests.support.gate_rig import engaged, flying, seen
 
 LIMITS = Limits()
 LISTED = {
@@ -308,6 +309,16 @@ def test_a_stick_asks_for_the_mode_in_which_sticks_act_and_all_else_for_hold():
     assert referee.gate.allow(HOVER, estimate, state, referee.t_s, stick).release is Release.STICKS
     key = Instruction(Order.OBSERVE, Reason(Cause.OBSERVE_ORDERED, "key o"))
     assert Safety(LIMITS, gate).allow(HOVER, estimate, state, referee.t_s, key).release is Release.HOLD
+
+
+def test_a_vehicle_given_back_in_its_mode_is_said_to_be_so_by_our_own_pause():
+    """The link gives the vehicle back after a pause of the stream; ArduPilot stays in GUIDED then."""
+    safety, t_s = engaged()
+    decision = safety.allow(HOVER, seen(t_s), flying(t_s, in_control=False, mode="OFFBOARD"), t_s)
+    assert (decision.mode, decision.reason.cause) == (Mode.ENDED, Cause.STREAM_PAUSED)
+    safety, t_s = engaged()
+    decision = safety.allow(HOVER, seen(t_s), flying(t_s, in_control=False, mode="HOLD"), t_s)
+    assert (decision.mode, decision.reason) == (Mode.ENDED, Reason(Cause.MODE_LEFT, "HOLD"))
 
 
 def test_a_stick_after_the_end_gives_the_sticks_back():
