@@ -3,9 +3,11 @@
 import contextlib
 import math
 import os
+import socket
 import time
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
+from functools import partial
 from typing import Protocol
 
 from follow.cli.commands import RunCommand
@@ -37,6 +39,8 @@ class GroundCommand(Protocol):
     def video_out(self) -> str | None: ...  # noqa: D102
     @property
     def ground_delay_s(self) -> float: ...  # noqa: D102
+    @property
+    def ground_follows(self) -> bool: ...  # noqa: D102
     @property
     def page(self) -> str | None: ...  # noqa: D102
     @property
@@ -97,8 +101,18 @@ def is_same_place(link: str, ground: str) -> bool:
         return False
     if kind == "serial":
         return os.path.realpath(name) == os.path.realpath(other_name)
-    hosts = {"127.0.0.1" if host == "localhost" else host for host in (name, other_name)}
+    hosts = {numeric(host) for host in (name, other_name)}
     return number == other and (len(hosts) == 1 or (kind == "udpin" and "0.0.0.0" in hosts))
+
+
+def numeric(host: str) -> str:
+    """The usual form of an IPv4 address: 127.1, 127.000.000.001 and localhost are 127.0.0.1, and 0 is 0.0.0.0."""
+    if host.lower() == "localhost":
+        return "127.0.0.1"
+    try:
+        return socket.inet_ntoa(socket.inet_aton(host))
+    except OSError:  # a name
+        return host
 
 
 def video_address(command: GroundCommand) -> VideoAddress | None:
@@ -153,7 +167,8 @@ def ground_side(
     size, stream = (lens.width, lens.height), None
     if address is not None:
         stream = description_of(address, command.config.video, size, math.degrees(lens.horizontal_fov_rad))
-    camera = GroundCamera(size, consoles.choose, stream, command.ground_delay_s, signing)
+    choose = partial(consoles.choose, flies=command.ground_follows)  # a box on the page never flies by itself
+    camera = GroundCamera(size, choose, stream, command.ground_delay_s, signing)
     camera.address(carrier.system_id)
     heard = video.hear_stations if video is not None else None
     texts = PilotTexts(carrier.pilot)

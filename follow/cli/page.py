@@ -84,12 +84,10 @@ def desk_of(
         desk.close()
 
 
-def consoles_of(
-    operator: Operator, tracker: Selector, report: Notify, servo: Servo, limits: Limits, *, follows: bool = False
-) -> Consoles:
+def consoles_of(operator: Operator, tracker: Selector, report: Notify, servo: Servo, limits: Limits) -> Consoles:
     """The consoles of a flight."""
     config = servo.settings
-    consoles = Consoles(operator, tracker.choose, report, config.standoff_m, follows, set_mode=config.mode.value)
+    consoles = Consoles(operator, tracker.choose, report, config.standoff_m, set_mode=config.mode.value)
     consoles.nearest, consoles.kept = nearest(servo, limits), lambda: servo.kept
     consoles.is_looking, tracker.decided = lambda: tracker.is_looking, consoles.decided
     return consoles

@@ -323,7 +323,7 @@ def fly_prepared(
         if command.aim:
             operator.aim = tracker.restart
         sees: list[Callable[[Tick], object]] = [lambda tick: recorder.tick(tick, seen.truth(tick))]
-        consoles = consoles_of(operator, tracker, report, servo, seen.config.limits, follows=command.ground_follows)
+        consoles = consoles_of(operator, tracker, report, servo, seen.config.limits)
         if command.ground is not None or exchange is not None or command.stick_trims is not None:
             operator.wanted = lambda: consoles.wanted
             sees.append(consoles.see)

@@ -107,7 +107,7 @@ def fly_in_real_time(
         operator.forget = target.forget
         tracker.out_of_reach = partial(why_out_of_reach, target)
         servo, safety = Servo(down_rad, config.servo), Safety(config.limits)
-        consoles = consoles_of(operator, tracker, terminal.report, servo, config.limits, follows=command.ground_follows)
+        consoles = consoles_of(operator, tracker, terminal.report, servo, config.limits)
         operator.wanted = lambda: consoles.wanted
         sees: list[Callable[[Tick], object]] = [lambda tick: recorder.tick(tick, referee.box(tick)), consoles.see]
         carrier = carried_alone(lambda: link.vehicle.motion.t_s)

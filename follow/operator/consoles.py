@@ -96,20 +96,21 @@ class Consoles:
 
     `select` takes a choice to the tracker; `is_looking` says whether the box of a tap is still looked for: `decided` is
     told what was found, and `answer` the console.  `standoff_m` is the stand-off that is set, `nearest` the least to
-    which it can be trimmed, `kept` what the servo keeps; `follows` lets a box that is drawn order FOLLOW by itself.
+    which it can be trimmed, `kept` what the servo keeps.
     """
 
     operator: Operator
     select: Choose
     report: Notify
     standoff_m: float = 12.0
-    follows: bool = False
     nearest: KeptStandoff = ANY_STANDOFF
     kept: Callable[[], KeptStandoff] = lambda: NOT_KEPT
     tell: Notify = lambda _text: None  # a short text for the pilot
     is_looking: Callable[[], bool] = lambda: False
     answer: Callable[[str, Reply], object] = lambda _console, _reply: None
     tapped_by: str = ""
+    tap_flies: bool = False  # whether the box of the tap that is looked for orders FOLLOW by itself
+    asked: bool = False  # whether FOLLOW was ordered, by whomever, and neither taken back nor flown to its end
     commander: str = ""
     wanted: Wanted = AS_SET
     heard_t_s: dict[str, float] = field(default_factory=dict[str, float])
@@ -133,13 +134,25 @@ class Consoles:
         return Mode.OBSERVE if self.tick is None else self.tick.decision.mode
 
     def see(self, tick: Tick) -> None:
-        """Take one round; a flight that ended keeps no trim."""
-        was_streaming = self.mode in STREAMING
+        """Take one round; a flight that ended keeps no trim, and what was asked before a stop is void."""
+        was_streaming, vehicle = self.mode in STREAMING, self.tick.state.mode if self.tick is not None else ""
         self.tick, self.status = tick, shown(tick, self.status)
+        is_streaming, ordered = self.mode in STREAMING, tick.instruction.order
+        if ordered is Order.FOLLOW:
+            self.asked = True
+        if ordered is Order.OBSERVE or (was_streaming and not is_streaming):
+            self._voids()
+        elif vehicle and tick.state.mode != vehicle and not is_streaming:
+            self.tap_flies = False
         if self.around_until_s <= self.t_s and self.wanted.around_m_s != 0.0:
             self.wanted = replace(self.wanted, around_m_s=0.0)
-        if was_streaming and self.mode not in STREAMING:
+        if was_streaming and not is_streaming:
             self.wanted = AS_SET
+
+    def _voids(self) -> None:
+        """The vehicle was stopped or taken back: what was asked before must not act after it."""
+        self.asked = self.tap_flies = False
+        self.proposed_t_s = NEVER
 
     def hears(self, console: str) -> None:
         """A console showed that a person is there."""
@@ -175,8 +188,11 @@ class Consoles:
             self.report(f"{console} commands")
         return ""
 
-    def choose(self, choice: Choice) -> str:
-        """Take a selection or a stop from a console; returns why it is refused, empty if it is taken."""
+    def choose(self, choice: Choice, *, flies: bool = False) -> str:
+        """Take a selection or a stop from a console; returns why it is refused, empty if it is taken.
+
+        `flies`: the selection orders FOLLOW also.
+        """
         if not isinstance(choice, Selection):
             self.order(ConsoleCommand.STOP, choice.by)
             return self.select(choice)
@@ -191,9 +207,9 @@ class Consoles:
             return why
         self.drawn_t_s, self.proposed_t_s = NEVER, NEVER  # of the target before
         if self.is_looking():
-            self.tapped_by = choice.by
+            self.tapped_by, self.tap_flies = choice.by, flies
         else:
-            self._has_selected(choice.by)
+            self._has_selected(choice.by, flies=flies)
         return ""
 
     def decided(self, why: str) -> None:
@@ -203,19 +219,26 @@ class Consoles:
             self.report(f"selection by {by} refused: {why}")
             self.tell(f"not selected: {why}")
         else:
-            self._has_selected(by)
+            self._has_selected(by, flies=self.tap_flies)
         self.answer(by, Reply(not why, f"not selected: {why}" if why else "target selected"))
 
-    def _has_selected(self, by: str) -> None:
-        """A person's box is the tracker's new target."""
+    def _has_selected(self, by: str, *, flies: bool) -> None:
+        """A person's box is the tracker's new target; `flies`: it orders FOLLOW by itself.
+
+        FOLLOW that was ordered for the target before and still waits is void: it must not fly to the new one.
+        """
         self.drawn_t_s, self.proposed_t_s = self.t_s, NEVER
         self.report(f"target selected by {by}")
         self.tell("target selected")
-        if self.mode in FLYING:
-            self.wanted = Wanted(mode=SPOTLIGHT)
-        if self.follows:
+        if flies:
             self.operator.order(Order.FOLLOW, by)
             self.wanted = AS_SET
+        elif self.mode in STREAMING:
+            self.wanted = Wanted(mode=SPOTLIGHT)
+        elif self.asked or any(order is Order.FOLLOW for order, _by in self.operator.waiting):
+            self.operator.order(Order.OBSERVE, by)
+            self.report("FOLLOW was ordered for the target before: order it again")
+            self.tell("new target: order FOLLOW again")
 
     def order(self, command: ConsoleCommand, by: str) -> Reply:
         """Give an order of a console; the reply says what became of it."""
@@ -231,6 +254,7 @@ class Consoles:
         if command is ConsoleCommand.STOP:
             self.hears(by)
             self.wanted = AS_SET
+            self._voids()
             self.operator.order(Order.OBSERVE, by)
             return Reply(True, "stopped")
         if why := self.why_not(by):

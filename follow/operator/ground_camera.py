@@ -141,10 +141,13 @@ class GroundCamera:
             self._send(dialect.MAVLink_statustext_message(dialect.MAV_SEVERITY_WARNING, words))
 
     def _answer_once(self, command: tuple[int, int, int], numbers: tuple[float, ...], t_s: float) -> Answer:
-        """The answer; a repeated command gets the same one again and does nothing a second time."""
+        """The answer; a repeated selection gets the same one again and selects nothing a second time.
+
+        A repeated stop stops again: meanwhile another console may have ordered FOLLOW.
+        """
         if command[2] not in (POINT, RECTANGLE, STOP):
             return self._answer(command[2], numbers, t_s, name_of(command))
-        last = self._recent.get(command)
+        last = self._recent.get(command) if command[2] != STOP else None
         if last is not None and t_s - last[1] <= REPEAT_S and last[0] == numbers and last[2].result == ACCEPTED:
             return last[2]
         answer = self._answer(command[2], numbers, t_s, name_of(command))

@@ -136,7 +136,7 @@ def sentence(tick: Tick) -> str:
         return SHORT[cause].format(what=decision.reason.what)
     if decision.mode is Mode.OBSERVE and cause in (Cause.ORDER_REFUSED, Cause.ORDER_VOID, Cause.ORDER_WAITS):
         says = {Cause.ORDER_REFUSED: "refused", Cause.ORDER_VOID: "order void", Cause.ORDER_WAITS: "waits"}[cause]
-        return f"{says}: {decision.reason.what}"
+        return f"{says}: {decision.reason.what.rpartition('; waits ')[2]}"  # the text has no room for who ordered
     if cause is Cause.NOT_SEEN or (cause is Cause.FOLLOW_ORDERED and decision.mode is Mode.ENGAGE):
         return says
     return f"{says}: {decision.reason}"

@@ -33,7 +33,8 @@ def tick(t_s, mode, has_target=True, notes=(), frame=True):
 class Desk:
     """Consoles beside an operator; time goes on by `at`."""
 
-    def __init__(self, **options):
+    def __init__(self, follows=False, **options):
+        self.follows = follows  # as with --ground-follows
         self.lines, self.chosen, self.refusal = [], [], ""
         self.operator = Operator(self.lines.append)
         self.consoles = Consoles(self.operator, self.select, self.lines.append, **options)
@@ -49,7 +50,7 @@ class Desk:
         self.consoles.see(tick(t_s, mode, self.has_target))
 
     def draw(self, by=PAGE):
-        return self.consoles.choose(Selection(0.5, 0.5, 0.025, 0.1, 1.0, by))
+        return self.consoles.choose(Selection(0.5, 0.5, 0.025, 0.1, 1.0, by), flies=self.follows)
 
     def order(self, command, by=PAGE):
         return self.consoles.order(ConsoleCommand(command), by)
@@ -271,6 +272,9 @@ def test_while_the_target_is_lost_another_can_be_chosen_and_an_old_one_is_confir
         ("udpin:127.0.0.1:14540", "udpin:127.0.0.1:14540", True),
         ("udpin:0.0.0.0:14540", "udpin:127.0.0.1:14540", True),
         ("mavsdk+udpin://0.0.0.0:14540", "udpin:localhost:14540", True),
+        ("udpin:127.0.0.1:14540", "udpin:127.1:14540", True),
+        ("udpin:LocalHost:14540", "udpin:127.000.000.001:014540", True),
+        ("udpin:127.0.0.1:14540", "udpin:0:14540", True),
         ("serial:/dev/ttyS0:57600", "serial:/dev/../dev/ttyS0:115200", True),
         ("udpin:127.0.0.1:14540", "udpin:127.0.0.1:14541", False),
         ("udpin:127.0.0.1:14540", "udpin:127.0.0.2:14540", False),

@@ -125,6 +125,15 @@ def test_a_repeated_command_is_acknowledged_again_and_selects_once():
     assert len(rig.chosen) == 3, "after a stop the same box is a new selection"
 
 
+def test_a_repeated_stop_stops_again_because_another_console_may_have_ordered_follow():
+    rig = Rig()
+    rig.run(2.0)
+    for _ in range(2):
+        rig.stations[0].stop(rig.t_s)
+        rig.run(0.5)
+    assert rig.chosen == [Cleared("the ground station 255/190")] * 2
+
+
 @pytest.mark.parametrize(
     ("box", "why"),
     [

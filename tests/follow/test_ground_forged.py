@@ -1,6 +1,7 @@
 """A stranger's datagram at a ground station's listener orders nothing, on either side."""
 
 import math
+from functools import partial
 
 import pytest
 from pymavlink.dialects.v20 import common as dialect
@@ -51,10 +52,8 @@ class Flight:
             order = lambda _self, order, by, *_: self.orders.append((order, by))  # noqa: E731
 
         operator = Orders(self.lines.append, at_once=False, heard=self.link.client.heard)
-        self.consoles = Consoles(
-            operator, lambda choice: self.chosen.append(choice) or "", self.lines.append, 12.0, follows
-        )
-        camera = GroundCamera((640, 360), self.consoles.choose, signing=signing)
+        self.consoles = Consoles(operator, lambda choice: self.chosen.append(choice) or "", self.lines.append)
+        camera = GroundCamera((640, 360), partial(self.consoles.choose, flies=follows), signing=signing)
         camera.address(1)
         self.ground = GroundSide(
             self.link, camera, self.consoles, PilotTexts(self.link.client), DirectSide(self.line, signing)

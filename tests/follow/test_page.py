@@ -1,7 +1,9 @@
 """The page: one window commands, the others watch, STOP works from all, nothing done in a window can harm a flight."""
 
 import json
-from contextlib import ExitStack
+import os
+import socket
+from contextlib import ExitStack, suppress
 
 import cv2
 import numpy as np
@@ -14,9 +16,10 @@ from websockets.exceptions import ConnectionClosed
 from follow.link.telemetry import LinkObservations
 from follow.messages import Mode, Order
 from follow.operator.consoles import DRAWN_S, ConsoleCommand
-from follow.operator.page import windows
+from follow.operator.page import server, windows
 from follow.operator.page.desk import ACTS, FRAMES
 from follow.operator.page.exchange import WAITING_ACTS, WAITING_STOPS, Act, Doing, Exchange, read_act
+from follow.operator.page.server import CONNECTIONS
 from follow.operator.page.windows import BURST, WINDOWS, jpeg_of
 from follow.selection import Detection, Detections, KeptStandoff
 from racf.box import Box
@@ -135,6 +138,43 @@ def test_a_window_that_reconnects_keeps_the_command_and_one_that_is_gone_loses_i
         second.until(lambda w: w.status.get("commander") == "")
         second.order("farther")
         assert second.replied()[0]
+
+
+def test_a_window_that_reconnects_is_not_told_again_what_it_was_answered_before(rig):
+    with rig.window() as first:
+        first.order("stop")
+        assert first.replied() == [True, "stop: stopped"]
+    with rig.window() as again:
+        again.order("confirm")
+        assert again.replied() == [False, "confirm: select a target first"], "the newest, and nothing older"
+
+
+def test_connections_that_ask_for_nothing_do_not_keep_others_out(rig):
+    """Whoever reaches the address can open them, without a token; each costs a file of the process that flies."""
+    before = len(os.listdir("/proc/self/fd"))
+    with rig.window() as window, ExitStack() as stack:
+        window.until(lambda w: w.images)
+        for _ in range(3 * CONNECTIONS):
+            stack.enter_context(socket.create_connection(("127.0.0.1", rig.port)))
+        window.until(lambda w: len(w.images) >= 5)
+        ours = 3 * CONNECTIONS  # this process has both ends
+        assert len(os.listdir("/proc/self/fd")) - before - ours < CONNECTIONS
+        window.order("stop")
+        assert window.replied()[0]
+        elsewhere = ("127.0.0.2", 0)  # another address, as another phone has
+        phone = stack.enter_context(socket.create_connection(("127.0.0.1", rig.port), 5.0, elsewhere))
+        phone.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        assert phone.recv(15) == b"HTTP/1.1 200 OK"
+
+
+@pytest.mark.parametrize("begun", [b"", b"GET / HTTP/1.1\r\nHost: "])
+def test_a_connection_that_makes_no_request_is_closed(rig, monkeypatch, begun):
+    monkeypatch.setattr(server, "REQUEST_S", 0.2)
+    with rig.window() as window, socket.create_connection(("127.0.0.1", rig.port), 10.0) as silent:
+        silent.sendall(begun)
+        with suppress(ConnectionResetError):
+            assert silent.recv(1) == b""
+        window.until(lambda w: len(w.images) >= 3)
 
 
 def test_clearing_the_target_stops(rig):
@@ -318,7 +358,8 @@ def test_before_the_flight_a_window_sees_what_is_said_and_can_order_nothing(tmp_
 
 
 NUMBERS = ("null", "-1", "true", "1e3", "4294967296")
-BOXES = ("[]", "[NaN,0,0,0]", '["0",0,0,0]', "[1e9,0,0,0]")
+NO_TAPS = ("[0.5,0.5,-0.1,-0.1]", "[-1,-1,0.5,0.5]", "[1.5,1.5,0.1,0.1]")
+BOXES = ("[]", "[NaN,0,0,0]", '["0",0,0,0]', "[1e9,0,0,0]", *NO_TAPS)
 NO_ACTS = (
     *("", "{", "[]", "7", '{"do": "fly"}', '{"do": "order"}', '{"do": "order", "order": "rtl"}', "[" * 1500),
     *(f'{{"do": "select", "frame": {n}, "box": [0, 0, 0, 0]}}' for n in NUMBERS),
@@ -328,7 +369,7 @@ NO_ACTS = (
 
 @pytest.mark.parametrize("text", NO_ACTS)
 def test_a_message_that_is_no_act_is_answered_and_nothing_else(rig, text):
-    with pytest.raises(ValueError, match=r"message|one of|number of a frame|box is"):
+    with pytest.raises(ValueError, match=r"message|one of|number of a frame|box is|of a box|the box"):
         read_act(text, "page 1")
     with rig.window() as window:
         window.socket.send(text)
@@ -337,10 +378,16 @@ def test_a_message_that_is_no_act_is_answered_and_nothing_else(rig, text):
     assert not any("could not serve" in line for line in rig.lines)
 
 
-@given(*[st.floats(-1.0, 2.0)] * 4)
-def test_a_box_is_clipped_to_the_image(left, top, width, height):
-    act = read_act(json.dumps({"do": "select", "frame": 1, "box": [left, top, width, height]}), "page 1")
+@given(*[st.floats(-1.0, 2.0)] * 2, *[st.floats(0.0, 2.0)] * 2)
+def test_a_box_is_clipped_to_the_image_and_never_becomes_a_tap(left, top, width, height):
+    try:
+        act = read_act(json.dumps({"do": "select", "frame": 1, "box": [left, top, width, height]}), "page 1")
+    except ValueError:
+        sides = min(left + width, 1.0) - max(left, 0.0), min(top + height, 1.0) - max(top, 0.0)
+        assert max(sides) <= 0.0
+        return
     x, y, w, h = act.box
+    assert (w == h == 0.0) == (width == height == 0.0)
     assert 0.0 <= x <= x + w <= 1.0 + 1e-9
     assert 0.0 <= y <= y + h <= 1.0 + 1e-9
 

@@ -20,6 +20,11 @@ READ = [
     (Mode.READY, Reason(Cause.READY), "ready, FOLLOW can be ordered"),
     (Mode.OBSERVE, Reason(Cause.NOT_READY, "target not seen"), "not ready: target not seen"),
     (Mode.OBSERVE, Reason(Cause.ORDER_REFUSED, "GPS lost"), "refused: GPS lost"),
+    (
+        Mode.OBSERVE,
+        Reason(Cause.ORDER_WAITS, f"{GROUND}; waits 3 s for: target not seen"),
+        "waits: 3 s for: target not seen",
+    ),
     (Mode.ENGAGE, Reason(Cause.FOLLOW_ORDERED, "the page"), "taking over"),
     (Mode.FOLLOW, Reason(Cause.OBEYS), "following"),
     (Mode.COAST, Reason(Cause.NOT_SEEN, seconds=0.7), "target lost, slowing"),

@@ -98,9 +98,14 @@ def read_box(message: Mapping[str, object]) -> tuple[float, float, float, float]
         ):  # refuses NaN also
             raise ValueError("box is [left, top, width, height] in 0..1 of the image")
         numbers.append(float(value))
+    if min(numbers[2:]) < 0.0:
+        raise ValueError("the width and height of a box are not negative")
     left, top = min(max(numbers[0], 0.0), 1.0), min(max(numbers[1], 0.0), 1.0)
     right, bottom = min(max(numbers[0] + numbers[2], 0.0), 1.0), min(max(numbers[1] + numbers[3], 0.0), 1.0)
-    return left, top, max(right - left, 0.0), max(bottom - top, 0.0)
+    width, height = max(right - left, 0.0), max(bottom - top, 0.0)
+    if width == height == 0.0 and max(numbers[2:]) > 0.0:  # it would be taken for a tap
+        raise ValueError("the box lies outside the image")
+    return left, top, width, height
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,6 +3,7 @@
 # pyright: reportMissingImports=false
 # The extra `page` may be missing where types are checked.
 
+import asyncio
 import contextlib
 import logging
 import socket
@@ -10,7 +11,7 @@ import threading
 from collections.abc import Awaitable, Callable, MutableMapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import uvicorn
 from starlette.applications import Starlette
@@ -19,6 +20,7 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, RedirectResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from typing_extensions import Self
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from follow.messages import Notify
 from follow.operator.page.door import Door, PageAddress, require_token
@@ -29,6 +31,8 @@ from follow.operator.page.windows import LARGEST_MESSAGE, Windows
 
 CLOSE_S = 3.0  # for the thread to end
 CONNECTIONS = 64  # at a time; a window has one, a browser opens a few more for files
+CONNECTIONS_OF_ONE = 32  # of one address: whoever opens more, without a token also, must not keep the others out
+REQUEST_S = 5.0  # in which a new connection makes its request
 SERVER_LOG = logging.getLogger("uvicorn")
 HTML = Path(__file__).with_name("page.html")
 REPORTS_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox"
@@ -144,6 +148,33 @@ def listening(address: PageAddress) -> socket.socket:
         ) from None
 
 
+class BoundedHttp(H11Protocol):
+    """HTTP of one connection, which is closed at once if there are too many, or without a request for REQUEST_S.
+
+    Each costs a file of the process that flies, before anybody has shown a token.
+    """
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Begin, or close what is too much."""
+        super().connection_made(transport)
+        peers = [peer_of(other) for other in self.connections]
+        if len(peers) > CONNECTIONS or peers.count(peer_of(self)) > CONNECTIONS_OF_ONE:
+            transport.abort()
+        else:
+            self.loop.call_later(REQUEST_S, self._close_silent)
+
+    def _close_silent(self) -> None:
+        if self in self.connections and cast("object", self.cycle) is None:  # neither a window by now, nor a request
+            self.transport.abort()
+
+
+def peer_of(connection: object) -> str:
+    """The address at the other end of a connection."""
+    transport = cast("asyncio.Transport | None", getattr(connection, "transport", None))
+    peer = transport.get_extra_info("peername") if transport is not None else None
+    return str(peer[0]) if peer else ""
+
+
 class ErrorLines(logging.Handler):
     """Reports an error inside the page as one line, the same one once."""
 
@@ -182,7 +213,7 @@ class PageServer:
             log_config=None,
             access_log=False,
             lifespan="off",
-            http="h11",
+            http=BoundedHttp,
             ws="websockets-sansio",
             ws_max_size=LARGEST_MESSAGE,
             ws_per_message_deflate=False,

@@ -83,6 +83,7 @@ class Windows:
         self._exchange = exchange
         self._open: set[PageWindow] = set()
         self._names: dict[str, str] = {}
+        self._answered: dict[str, int] = {}  # by name, the newest reply that was sent, also before a reconnection
         self._count = 0
         self._jpeg: tuple[Frame | None, bytes] = None, b""
         self._status: tuple[Shown | None, str] = None, ""
@@ -146,7 +147,7 @@ class Windows:
         """The name of a window with that key, the same again after it reconnected."""
         if key not in self._names:
             if len(self._names) >= KNOWN_WINDOWS:
-                self._names.pop(next(iter(self._names)))
+                self._answered.pop(self._names.pop(next(iter(self._names))), None)
             self._count += 1
             self._names[key] = f"page {self._count}"
         return self._names[key]
@@ -215,8 +216,11 @@ class Windows:
         if self._status[0] is not shown:
             self._status = shown, json.dumps(shown.status, allow_nan=False)
         lines = [line for line in copied(self._exchange.lines) if line.n > window.seen_line]
-        replies = [r for r in copied(self._exchange.replies) if r.n > window.seen_line and r.by == window.name]
-        window.seen_line = max([window.seen_line, *(line.n for line in (*lines, *replies))])
+        answered = self._answered.get(window.name, 0)
+        replies = [r for r in copied(self._exchange.replies) if r.n > answered and r.by == window.name]
+        if replies:
+            self._answered[window.name] = replies[-1].n
+        window.seen_line = lines[-1].n if lines else window.seen_line
         own = {
             "you": window.name,
             "lines": [line.text for line in lines],
