@@ -142,6 +142,9 @@ class DetectorProcess:
     ) -> None:
         self._process.terminate()  # a call that waits for it ends with EOFError
         self._process.join(END_S)
+        if self._process.is_alive():  # stopped, or stuck in its driver
+            self._process.kill()
+            self._process.join(END_S)
         self._calls.shutdown(wait=False, cancel_futures=True)
 
 

@@ -98,7 +98,7 @@ class Detector:
             rows = output[0].T if self._kind == "YOLOv8" else output[0]
             centres, scores = yolov8(rows) if self._kind == "YOLOv8" else yolox(rows, self._size)
             boxes = np.column_stack([centres[:, :2] - centres[:, 2:] / 2, centres[:, 2:]])
-        good = np.isfinite(boxes).all(axis=1) & (boxes[:, 2:] > 0).all(axis=1)
+        good = (np.abs(boxes) <= 2 * self._size).all(axis=1) & (boxes[:, 2:] > 0).all(axis=1)  # NaN is neither
         good &= (scores >= LEAST_SCORE) & (scores <= 1.001)  # rounding of a half-precision network
         pairs = zip(boxes[good], scores[good], strict=True)
         return [Detection(Box(*map(float, box)), float(score)) for box, score in pairs]

@@ -176,18 +176,23 @@ def meant(selection: Selection, image: Image, snap: Snap = lambda _image, _x, _y
     left, top = selection.left * columns, selection.top * rows
     if selection.is_point:
         box = snap(image, left, top)
-        if box is None or min(box.w, box.h) < MIN_SIDE_PX:
+        if box is None or min(box.w, box.h) < MIN_SIDE_PX or is_outside(box, rows, columns):
             box = box_at(image, left, top)
         return "nothing stands out there: draw a box" if box is None else box
     sides = selection.width * columns, selection.height * rows
     if min(sides) < MIN_SIDE_PX:
         return f"box under {MIN_SIDE_PX:g} pixels: go nearer"
     box = Box(left, top, *sides)
-    if box.intersection(Box(0, 0, columns, rows)) < 0.5 * box.area:
+    if is_outside(box, rows, columns):
         return "box outside the image: draw it again"
     if contrast(image, box.scaled(1.5)) < MIN_CONTRAST:
         return "nothing to hold on to: choose a target with edges"
     return box
+
+
+def is_outside(box: Box, rows: int, columns: int) -> bool:
+    """Whether more than half of a box lies outside an image."""
+    return not box.intersection(Box(0, 0, columns, rows)) >= 0.5 * box.area
 
 
 def contrast(image: Image, box: Box) -> float:

@@ -166,6 +166,13 @@ def test_a_network_that_fails_in_the_process_is_told_once_and_it_works_again_aft
     assert len([m for m in caplog.messages if m.startswith("the detector failed: ")]) == 1
 
 
+def test_a_process_that_is_stopped_keeps_nobody_from_ending(file):
+    with DetectorProcess(file) as detector:
+        pid = detector._process.pid
+        os.kill(pid, signal.SIGSTOP)
+    assert not is_running(pid)
+
+
 class BlindAWhile:
     """A tracker that finds nothing from BLIND_S[0] to BLIND_S[1], so that what is found acts on the flight."""
 

@@ -138,6 +138,13 @@ def test_the_squares_cover_the_image_and_lie_in_it(rows, columns):
     assert seen.all()
 
 
+@pytest.mark.parametrize("absurd", [Box(0.0, 0.0, 6e30, 6e30), Box(-4e3, 0.0, 5e3, 400.0), Box(1e30, 1e30, 10.0, 10.0)])
+def test_a_click_takes_no_box_that_lies_outside_the_image(made, absurd):
+    click = Selection(320 / 640, 200 / 360, 0.0, 0.0, 0.0, "the page")
+    assert meant(click, IMAGE, lambda _image, _x, _y: absurd) == meant(click, IMAGE)
+    assert made(yolov8([(absurd, 0.9)])).find(IMAGE) == ()
+
+
 def test_a_click_beside_every_object_falls_back_to_what_stands_out(made):
     image = IMAGE.copy()
     cv2.rectangle(image, (300, 180), (340, 220), (20, 20, 230), -1)
