@@ -258,7 +258,7 @@ def test_a_link_is_followed_and_a_pipe_a_folder_and_nothing_are_refused(tmp_path
 def test_sound_beside_the_video_and_a_tag_that_is_not_utf8_do_no_harm(tmp_path):
     path = tmp_path / "a.mkv"
     with av.open(str(path), "w") as container:
-        container.metadata["title"] = "XXXX"
+        container.metadata["title"] = "XXXX"  # replaced below by bytes that are not UTF-8
         video = container.add_stream("libx264", rate=30)
         video.width, video.height, video.pix_fmt = 192, 120, "yuv420p"
         audio = container.add_stream("pcm_s16le", rate=8000, layout="mono")

@@ -98,7 +98,7 @@ def refuse(rig: Rig) -> None:
     def refused(mode: int, sub: int) -> list[Result]:
         return [Result.TEMPORARILY_REJECTED] if (mode, sub) == control else ask(mode, sub)
 
-    rig.system.flight.ask_mode = refused  # type: ignore[method-assign]
+    rig.system.flight.ask_mode = refused  # type: ignore[method-assign] - the fault
     rig.operator.order(Order.FOLLOW, "key f")
     began_t_s, given = rig.t_s, list[float]()
 

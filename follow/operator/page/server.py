@@ -154,7 +154,7 @@ class BoundedHttp(H11Protocol):
     Each costs a file of the process that flies, before anybody has shown a token.
     """
 
-    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override] - as uvicorn's own
         """Begin, or close what is too much."""
         super().connection_made(transport)
         peers = [peer_of(other) for other in self.connections]
