@@ -11,6 +11,7 @@ from itertools import pairwise
 from follow.geometry import heading_to_ned
 from follow.messages import Setpoint, VehicleState
 from follow.safety.distance import (
+    DRIFT_M_S,
     SETTLE_S,
     Sighting,
     Worst,
@@ -63,9 +64,9 @@ def limit_to_fence(north: float, east: float, out: tuple[float, float], limits: 
 def limit_altitude(down: float, target: Worst, state: VehicleState, limits: Limits) -> float:
     """Limit the downward speed to stay inside the altitude band, and the climb above the target.
 
-    What the vehicle drifts towards a border is taken off, up to `RETURN_M_S`.
+    What the vehicle drifts towards a border is taken off, up to `DRIFT_M_S`.
     """
-    drift = min(max(target.drift_down_m_s, -RETURN_M_S), RETURN_M_S)
+    drift = min(max(target.drift_down_m_s, -DRIFT_M_S), DRIFT_M_S)
     fastest_down = border_speed(least_height_m(state) - limits.floor_m, limits.climb_accel_m_s2) - max(drift, 0.0)
     fastest_up = border_speed(limits.ceiling_m - greatest_height_m(state), limits.climb_accel_m_s2) + min(drift, 0.0)
     over_target = approach_speed(max(limits.above_target_m - target.above_m, 0.0), limits.climb_accel_m_s2)

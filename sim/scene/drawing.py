@@ -14,7 +14,7 @@ from sim.scene.terrain import Facet
 from sim.scene.trees import Sprite
 from sim.scene.world import ActorPose, Array, Colour
 
-NEAR_M = 0.4  # nothing closer is drawn
+NEAR_M = 0.4  # nothing closer is drawn: faces are cut there, limbs left out
 FRACTION = 4  # bits of fraction in OpenCV's polygon corners
 
 Polygon = tuple[NDArray[np.int32], Colour]
@@ -89,17 +89,40 @@ def outlined_parts(view: View, mesh: Mesh, points: Array | None = None) -> tuple
     u, w = pixels[first + 1] - pixels[first], pixels[np.minimum(first + 2, len(pixels) - 1)] - pixels[first + 1]
     shown = u[:, 0] * w[:, 1] - u[:, 1] * w[:, 0] > 0
     shown[mesh.limbs] = True
-    shown &= np.minimum.reduceat(depth, first) >= NEAR_M
+    whole = np.minimum.reduceat(depth, first) >= NEAR_M
+    reaching = ~whole & (np.maximum.reduceat(depth, first) > NEAR_M)
+    reaching[mesh.limbs] = False
+    shown &= whole
     rounds: dict[int, NDArray[np.int32]] = {}
+    for k in np.flatnonzero(reaching).tolist():
+        part = slice(mesh.starts[k], mesh.starts[k + 1])
+        if len(corners := cut_near(view, (mesh.points if points is None else points)[part])):
+            rounds[k], shown[k] = fixed(corners), True
     if len(mesh.limbs):
         start = first[mesh.limbs]
         radii, near = mesh.radii * view.camera.fx, np.maximum(depth, NEAR_M)
         shapes = capsules(pixels[start], pixels[start + 1], radii[:, 0] / near[start], radii[:, 1] / near[start + 1])
-        rounds = dict(zip(mesh.limbs.tolist(), fixed(shapes), strict=True))
+        rounds |= zip(mesh.limbs.tolist(), fixed(shapes), strict=True)
     edges, parts = mesh.starts.tolist(), np.flatnonzero(shown)
     return parts, [
         (rounds[k] if k in rounds else flat[edges[k] : edges[k + 1]], mesh.colours[k]) for k in parts.tolist()
     ]
+
+
+def cut_near(view: View, corners: Array) -> Array:
+    """(M, 2) pixels of what lies beyond NEAR_M of a flat convex face (N, 3) NED; none if it is turned away."""
+    seen = (corners - view.position) @ view.rotation
+    if np.linalg.det(seen[:3]) <= 0:  # the sign of its turn in the image, which needs no projection
+        return np.empty((0, 2))
+    depth, out = seen[:, 2], list[Array]()
+    for k in range(len(seen)):
+        j = (k + 1) % len(seen)
+        if depth[k] >= NEAR_M:
+            out.append(seen[k])
+        if (depth[k] >= NEAR_M) != (depth[j] >= NEAR_M):
+            out.append(seen[k] + (seen[j] - seen[k]) * ((NEAR_M - depth[k]) / (depth[j] - depth[k])))
+    cut = np.array(out)
+    return cut[:, :2] / cut[:, 2:] * (view.camera.fx, view.camera.fy) + (view.camera.cx, view.camera.cy)
 
 
 def fixed(points: Array) -> NDArray[np.int32]:

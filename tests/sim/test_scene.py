@@ -183,6 +183,24 @@ def test_a_wall_hides_as_much_as_its_height_says():
     assert 0.35 < seen.visible < 0.75  # all above 0.9 m of 1.7 m, where shoulders are wider than legs
 
 
+@pytest.mark.parametrize("yaw", [-0.6, 0.0, 0.4])
+def test_a_wall_that_begins_behind_the_camera_hides_who_is_behind_it(yaw):
+    """Its rays decide: what meets the wall's near face ahead of the camera has the wall's colour."""
+    long = wall(-10.3, -1.0, 40.0, 0.0, 5.0, (0, 0, 250))
+    v = view(0.0, -1.6, height_m=1.0, down_deg=0.0, yaw=yaw)
+    image, (seen,) = Scene(standing(north_m=4.0, blocks=long), CAMERA).draw(v, 0.0)
+    assert seen.visible == 0.0
+    beside = min(long, key=lambda block: abs(block.north_m))
+    west = -1.0 - beside.width_m / 2
+    face = np.random.default_rng(1).uniform((0.4, west, -4.8), (12.0, west, -0.2), (400, 3))
+    pixels, depth = project(CAMERA, v.rotation, v.position, face)
+    inside = (depth > 0.5) & (pixels > 2).all(axis=1) & (pixels < (638, 358)).all(axis=1)
+    x, y = pixels[inside].astype(int).T
+    red = (image[y, x, 2] > 60) & (image[y, x, 1] < 20) & (image[y, x, 0] < 20)
+    assert inside.sum() > 50
+    assert red.mean() > 0.98
+
+
 @pytest.mark.parametrize("windows", [False, True])
 @pytest.mark.parametrize("heading", [0.0, 1.0, 2.5, 4.0])
 def test_a_house_shows_its_near_sides_and_hides_who_is_inside(heading, windows):
