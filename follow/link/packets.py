@@ -5,6 +5,7 @@ accepts packets of unknown type unchecked.  Here a packet counts only if its che
 continues one byte further, so that noise never costs the valid packet behind it.
 """
 
+import math
 import struct
 
 from pymavlink.dialects.v20 import common as dialect
@@ -16,6 +17,7 @@ Message = dialect.MAVLink_message
 MAGIC_V1, MAGIC_V2 = dialect.PROTOCOL_MARKER_V1, dialect.PROTOCOL_MARKER_V2
 SIGNED = dialect.MAVLINK_IFLAG_SIGNED
 HEADER_V1, HEADER_V2, CHECKSUM, SIGNATURE = 6, 10, 2, 13  # bytes
+FALSE_STARTS = 16  # searched behind in a datagram: each costs 10 microseconds, and 1400 bytes of 0xFE would be one each
 
 
 class SignedMAVLink(dialect.MAVLink):
@@ -63,11 +65,15 @@ class Packets:
 
     def read(self, data: bytes) -> list[Message]:
         """Decode bytes from a stream, cut at any byte; returns the messages completed by them."""
+        self._waiting += data
+        return self._search()[0]
+
+    def _search(self, most_false: float = math.inf) -> tuple[list[Message], int]:
+        """The messages in what waits, and how many starts were false; more than `most_false` end the search."""
         buffer = self._waiting
-        buffer += data
         messages: list[Message] = []
-        start = 0
-        while start < len(buffer):
+        start = false = 0
+        while start < len(buffer) and false <= most_false:
             if buffer[start] not in (MAGIC_V1, MAGIC_V2):
                 start += 1
                 self.unreadable += 1
@@ -77,7 +83,9 @@ class Packets:
                 break
             message = self._decode(buffer[start : start + length]) if length else None
             if message is None:
-                self.unknown += length == 0 and is_foreign(buffer, start)
+                foreign = length == 0 and is_foreign(buffer, start)
+                self.unknown += foreign
+                false += not foreign
                 start += 1
                 self.unreadable += 1
             else:
@@ -85,15 +93,22 @@ class Packets:
                 if message.get_type() != "BAD_DATA":
                     messages.append(message)
         del buffer[:start]
-        return messages
+        return messages, false
 
     def read_datagram(self, data: bytes) -> list[Message]:
-        """Decode one datagram: whole packets only; an incomplete packet at its end is discarded."""
-        messages = self.read(data)
-        while self._waiting:  # a false start marker may hide whole packets behind it
+        """Decode one datagram: whole packets only; what is incomplete, or behind FALSE_STARTS, is discarded.
+
+        A network delivers a datagram as it was sent, so what is full of false starts was sent to cost time.
+        """
+        self._waiting += data
+        messages, false = self._search(FALSE_STARTS)
+        while self._waiting and false <= FALSE_STARTS:  # a false start marker may hide whole packets behind it
             del self._waiting[:1]
             self.unreadable += 1
-            messages += self.read(b"")
+            found, more = self._search(FALSE_STARTS - false)
+            messages, false = messages + found, false + more + 1
+        self.unreadable += len(self._waiting)
+        self._waiting.clear()
         return messages
 
     def write(self, message: Message) -> bytes:

@@ -25,6 +25,7 @@ from follow.link.identity import Source
 REOPEN_S = 1.0  # a USB serial adapter takes about this long to come back
 CONNECT_TIMEOUT_S = 2.0
 READ_BYTES = 65536
+DATAGRAM_BYTES = 2048  # what carries MAVLink fits into an Ethernet frame; the rest of a longer one is discarded
 LAST_PORT = 65535
 
 
@@ -120,7 +121,7 @@ class UdpTransport:
         """One datagram."""
         if select.select([self._socket], [], [], timeout_s)[0]:
             with contextlib.suppress(BlockingIOError, ConnectionError):
-                return self._socket.recvfrom(READ_BYTES)
+                return self._socket.recvfrom(DATAGRAM_BYTES)
         return b"", None
 
     def write(self, packet: bytes) -> bool:

@@ -74,6 +74,7 @@ TRIMS = (
     ConsoleCommand.LEFT,
     ConsoleCommand.RIGHT,
 )
+ASIDE = (ConsoleCommand.LEFT, ConsoleCommand.RIGHT)
 
 
 PILOTS = (ConsoleCommand.FOLLOW, ConsoleCommand.CONFIRM, ConsoleCommand.SPOTLIGHT, ConsoleCommand.HOLD)
@@ -296,8 +297,8 @@ class Consoles:
     def _trim(self, command: ConsoleCommand) -> Reply:
         """Change the wanted geometry, not the authority."""
         w = self.wanted
-        if self.mode not in FLYING or w.mode in (SPOTLIGHT, HOVER_HERE):
-            return Reply(False, "trims act while it follows")
+        if why := self.why_untrimmed(command):
+            return Reply(False, why)
         if command in (ConsoleCommand.NEARER, ConsoleCommand.FARTHER):
             factor = w.standoff_factor * (STANDOFF_STEP if command is ConsoleCommand.FARTHER else 1 / STANDOFF_STEP)
             w = replace(w, standoff_factor=self.possible(factor))
@@ -309,6 +310,17 @@ class Consoles:
             self.around_until_s = self.t_s + AROUND_STEP_S
         self.wanted = w
         return Reply(True, self.trimmed())
+
+    def why_untrimmed(self, command: ConsoleCommand) -> str:
+        """Why a trim would change nothing now, or not what it is named for; empty if it acts."""
+        mode = self.wanted.mode or self.set_mode
+        if self.mode not in FLYING or mode in (SPOTLIGHT, HOVER_HERE):
+            return "trims act while it follows"
+        if mode == ConsoleCommand.TOP_DOWN.value:
+            return "top-down keeps its height and stays above: nothing to trim"
+        if command in ASIDE and mode != ConsoleCommand.CHASE.value:
+            return f"{mode} chooses its side itself: left and right act in chase"
+        return ""
 
     @property
     def least_factor(self) -> float:

@@ -1,12 +1,13 @@
 """Ground stations: behind the autopilot on its link, or talking to us directly.
 
 Called in the loop's thread; nothing here waits.  A flood delays neither a setpoint nor anybody's STOP: in a round at
-most READ datagrams are read from the direct side, at most HEEDED of them are heeded, every sender's newest first.
+most READ datagrams are read from the direct side, at most HEEDED of them and of their messages are heeded, every
+sender's newest first.
 """
 
 from collections import deque
 from collections.abc import Callable
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 from pymavlink.dialects.v20 import common as dialect
 
@@ -18,6 +19,8 @@ from follow.messages import NEVER, Tick, VehicleState
 from follow.operator.consoles import Consoles
 from follow.operator.ground_camera import HEARTBEAT_EVERY_S, TEXT_LENGTH, GroundCamera
 from follow.operator.told import PilotTexts
+
+ArrivedT = TypeVar("ArrivedT")
 
 READ = 300  # a few microseconds each; 9000 a second
 HEEDED = 20  # each costs some 50 microseconds to decode and to answer
@@ -71,6 +74,20 @@ class LoneVehicle:
         return out
 
 
+def heeded(arrived: list[tuple[Source, ArrivedT]]) -> list[tuple[Source, ArrivedT]]:
+    """What of all that has arrived is heeded, in its order: of each sender as many as of the others, the newest."""
+    if len(arrived) <= HEEDED:
+        return arrived
+    taken = dict.fromkeys((source for source, _ in arrived), 0)
+    share = max(HEEDED // len(taken), 1)
+    newest: list[tuple[Source, ArrivedT]] = []
+    for source, what in reversed(arrived):
+        taken[source] += 1
+        if taken[source] <= share and len(newest) < HEEDED:
+            newest.append((source, what))
+    return newest[::-1]
+
+
 class DirectSide:
     """Ground stations that talk to us without the autopilot between."""
 
@@ -81,35 +98,26 @@ class DirectSide:
 
     def receive(self, t_s: float) -> list[Message]:
         """The messages that came since the last round."""
-        messages: list[Message] = []
+        heard: list[tuple[Source, Message]] = []
         for source, data in self._waiting():
             found = self._packets.read_datagram(data) if self._transport.datagrams else self._packets.read(data)
             if found:
                 self._heard_t_s.pop(source, None)
                 self._heard_t_s[source] = t_s
-            messages += found
+            heard += [(source, message) for message in found]
         recent = [(source, at) for source, at in self._heard_t_s.items() if t_s - at < HEARD_S]
         self._heard_t_s = dict(recent[-STATIONS:])
-        return messages
+        return [message for _, message in heeded(heard)]  # a datagram may hold many
 
     def _waiting(self) -> list[tuple[Source, bytes]]:
-        """What to heed in this round, in the order of arrival: of each sender as many as of the others, the newest."""
+        """What to read in this round, in the order of arrival: of each sender as many as of the others, the newest."""
         arrived: list[tuple[Source, bytes]] = []
         while len(arrived) < READ:
             data, source = self._transport.read(0.0)
             if not data:
                 break
             arrived.append((source, data))
-        if len(arrived) <= HEEDED or not self._transport.datagrams:  # a stream of bytes has one sender and no gaps
-            return arrived
-        taken = dict.fromkeys((source for source, _ in arrived), 0)
-        share = max(HEEDED // len(taken), 1)
-        heeded: list[tuple[Source, bytes]] = []
-        for source, data in reversed(arrived):
-            taken[source] += 1
-            if taken[source] <= share and len(heeded) < HEEDED:
-                heeded.append((source, data))
-        return heeded[::-1]
+        return heeded(arrived) if self._transport.datagrams else arrived  # a stream has one sender and no gaps
 
     @property
     def hosts(self) -> tuple[str, ...]:

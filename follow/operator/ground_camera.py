@@ -90,7 +90,9 @@ class GroundCamera:
         self._status_every_s = STATUS_EVERY_S
         self._told_state = TrackingState.IDLE
         self._done_t_s: dict[str, float] = {}
-        self._recent: dict[tuple[int, int, int], tuple[tuple[float, ...], float, Answer]] = {}
+        self._recent: dict[
+            tuple[int, int], tuple[int, tuple[float, ...], float, Answer]
+        ] = {}  # of each sender the last
         self._out: list[bytes] = []
 
     def address(self, system_id: int) -> None:
@@ -147,13 +149,14 @@ class GroundCamera:
         """
         if command[2] not in (POINT, RECTANGLE, STOP):
             return self._answer(command[2], numbers, t_s, name_of(command))
-        last = self._recent.get(command) if command[2] != STOP else None
-        if last is not None and t_s - last[1] <= REPEAT_S and last[0] == numbers and last[2].result == ACCEPTED:
-            return last[2]
+        if command[2] == POINT:
+            numbers = numbers[:2]  # what is not used may be NaN, which is never the same again
+        last = self._recent.get(command[:2])  # stop, then the same box again, is no repetition
+        is_same = last is not None and command[2] != STOP and last[:2] == (command[2], numbers)
+        if last is not None and is_same and t_s - last[2] <= REPEAT_S and last[3].result == ACCEPTED:
+            return last[3]
         answer = self._answer(command[2], numbers, t_s, name_of(command))
-        for other in [key for key in self._recent if key[:2] == command[:2]]:
-            del self._recent[other]  # stop, then the same box again, is no repetition
-        self._recent[command] = numbers, t_s, answer
+        self._recent[command[:2]] = command[2], numbers, t_s, answer
         return answer
 
     def _answer(self, command: int, numbers: tuple[float, ...], t_s: float, by: str) -> Answer:
@@ -171,12 +174,11 @@ class GroundCamera:
         return Answer(UNSUPPORTED)
 
     def _select(self, command: int, numbers: tuple[float, ...], t_s: float, by: str) -> Answer:
-        shares = numbers[:2] if command == POINT else numbers[:4]
-        if not all(math.isfinite(share) and 0.0 <= share <= 1.0 for share in shares):
+        if not all(math.isfinite(share) and 0.0 <= share <= 1.0 for share in numbers):
             return Answer(DENIED, "box not in the image: draw it again")
         if t_s - self._status.frame_t_s > STALE_S:
             return Answer(REJECTED, "no fresh image: nothing selected")
-        left, top, right, bottom = shares if command == RECTANGLE else (*shares, *shares)
+        left, top, right, bottom = numbers if command == RECTANGLE else (*numbers, *numbers)
         width, height = right - left, bottom - top
         if command == RECTANGLE and (width < SMALLEST or height < SMALLEST):
             return Answer(DENIED, "box too small: draw it round the target")

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 
 from follow.messages import NEVER, Mode, Tick
 from follow.operator.authority import RECENT_S, RemoteObservations
-from follow.operator.consoles import AROUND_M_S, RAISE_RANGE, Consoles
+from follow.operator.consoles import AROUND_M_S, RAISE_RANGE, ConsoleCommand, Consoles
 from follow.operator.sticks import PWM, STICK_US, STICKS
-from follow.selection import HOVER_HERE
+from follow.safety.modes import STREAMING
 
 REST_US = 40  # 8 % of a stick's travel: no hand holds it stiller
 NEARER_PER_S, RAISE_RAD_S = 0.2, 0.05  # at the end of the part that trims: 2.4 m/s at 12 m, 3 degrees/s
@@ -48,7 +48,7 @@ class StickTrims:
     sticks: TrimSticks
     consoles: Consoles
     heard: RemoteObservations
-    rest: tuple[int, ...] = ()  # where the sticks were as FOLLOW began
+    rest: tuple[int, ...] = ()  # where the sticks were as the stream began, as in StickWatch: not after each short loss
     t_s: float = NEVER
     is_trimming: bool = False
 
@@ -59,12 +59,16 @@ class StickTrims:
         channels = self.heard.rc_channels[:STICKS]
         valid = len(channels) == STICKS and all(pwm in PWM for pwm in channels)
         is_heard = valid and t_s - self.heard.rc_t_s <= RECENT_S and tick.state.rc_healthy is not False
-        if tick.decision.mode is not Mode.FOLLOW or wanted.mode == HOVER_HERE or not is_heard:
+        if tick.decision.mode not in STREAMING:
             self.rest = ()
             return
+        if not is_heard:
+            return
         self.rest = self.rest or channels
+        if tick.decision.mode is not Mode.FOLLOW or self.consoles.why_untrimmed(ConsoleCommand.NEARER):
+            return
         right, forward, up = (self._deflection(channels, stick) for stick in self._order)
-        if right:
+        if right and not self.consoles.why_untrimmed(ConsoleCommand.RIGHT):
             self.consoles.around_until_s = t_s + HOLDS_S
             wanted = replace(wanted, around_m_s=AROUND_M_S * right)
         if forward:

@@ -125,6 +125,17 @@ def test_a_repeated_command_is_acknowledged_again_and_selects_once():
     assert len(rig.chosen) == 3, "after a stop the same box is a new selection"
 
 
+def test_a_repeated_click_selects_once_whatever_its_unused_numbers_are():
+    rig = Rig()
+    rig.run(2.0)
+    (station,) = rig.stations
+    for _ in range(3):  # MAVSDK fills what it does not use with NaN
+        station.command(2004, rig.t_s, 0.5, 0.25, math.nan, math.nan, math.nan, math.nan, math.nan)
+        rig.run(0.5)
+    assert len(rig.chosen) == 1
+    assert station.acks.count((2004, 0)) == 3
+
+
 def test_a_repeated_stop_stops_again_because_another_console_may_have_ordered_follow():
     rig = Rig()
     rig.run(2.0)

@@ -44,6 +44,17 @@ def test_a_stop_before_the_flood_of_another_acts_also():
     assert any(order is Order.OBSERVE for order, _by in flight.orders)
 
 
+@pytest.mark.parametrize("is_first", [True, False])
+def test_a_stop_beside_datagrams_full_of_clicks_acts_and_few_of_those_are_heeded(is_first):
+    flight = Flight()
+    full = b"".join(click(n, (42, 190)) for n in range(45))
+    flight.line.arrived = [(full, STRANGER)] * 15
+    flight.line.arrived.insert(0 if is_first else 15, (command(STOP), STATION))
+    flight.round()
+    assert any(order is Order.OBSERVE for order, _by in flight.orders)
+    assert len(acks(flight)) <= 2 * HEEDED, "an answer goes to each station"
+
+
 def test_a_stop_behind_a_flood_through_the_autopilot_acts():
     flight = Flight()
     beat(flight.link)

@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import common as dialect
 
 from follow.link import transports as wire
 from follow.link.connection import MavlinkLink
-from follow.link.packets import Packets
+from follow.link.packets import FALSE_STARTS, Packets, is_foreign
 from follow.link.signing import Signing
 from follow.messages import Autopilot
 from sim.autopilot.system import AutopilotSystem
@@ -103,6 +103,38 @@ def test_a_truncated_datagram_does_not_swallow_the_next():
 
 def test_a_false_beginning_in_a_datagram_does_not_hide_the_packet_behind_it():
     assert len(Packets(1, 191).read_datagram(b"\xfd\xff\x00" + PACKET)) == 1
+
+
+@pytest.mark.parametrize("byte", [0xFE, 0xFD])
+def test_a_datagram_full_of_false_beginnings_costs_little_and_the_next_one_is_read(byte, monkeypatch):
+    packets, tries = Packets(1, 191), []
+    monkeypatch.setattr(packets, "_decode", lambda packet, decode=packets._decode: tries.append(1) or decode(packet))
+    monkeypatch.setattr("follow.link.packets.is_foreign", lambda *given: tries.append(1) or is_foreign(*given))
+    noise = bytes([byte]) * 1400  # 0xFE: a packet of DEBUG begins at every byte
+    assert packets.read_datagram(noise) == []
+    assert 0 < len(tries) <= FALSE_STARTS + 1
+    assert packets.unreadable == len(noise)
+    assert len(packets.read_datagram(PACKET)) == 1
+    assert len(Packets(1, 191).read_datagram(noise[: FALSE_STARTS // 2] + PACKET)) == 1
+
+
+def test_packets_of_another_dialect_do_not_hide_the_packets_behind_them():
+    foreign = bytes([0xFD, 4, 0, 0, 0, 1, 1, 0xF0, 0xFF, 0xFF, *b"abcd", 0, 0])
+    packets = Packets(1, 191)
+    assert len(packets.read_datagram(foreign * 40 + PACKET)) == 1
+    assert packets.unknown == 40
+
+
+def test_a_datagram_that_is_longer_than_any_of_mavlink_is_read_in_part():
+    listener = wire.UdpTransport("127.0.0.1", 0, listens=True)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        sender.sendto(PACKET * 1000, ("127.0.0.1", listener.port))
+        sender.sendto(PACKET, ("127.0.0.1", listener.port))
+    data, source = listener.read(1.0)
+    assert source is not None
+    assert 1500 <= len(data) < 4096
+    assert listener.read(1.0)[0] == PACKET
+    listener.close()
 
 
 @pytest.mark.parametrize("baud", ["0123", "7", "99999999"])

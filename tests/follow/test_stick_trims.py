@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from follow.cli.commands import RunCommand
 from follow.messages import Cause, Mode, Order
 from follow.operator.authority import Operator
-from follow.operator.consoles import AROUND_M_S, RAISE_RANGE, STANDOFF_RANGE, Consoles
+from follow.operator.consoles import AROUND_M_S, RAISE_RANGE, SPOTLIGHT, STANDOFF_RANGE, TRIMS, ConsoleCommand, Consoles
 from follow.operator.stick_trims import REST_US, StickTrims, TrimSticks, parse_trims
 from follow.operator.sticks import STICK_US
 from follow.selection import AS_SET, HOVER_HERE, Wanted
@@ -133,11 +133,61 @@ def test_only_a_flight_that_follows_is_trimmed(mode):
     assert hands.wanted.raise_rad == 0.0
 
 
-def test_a_vehicle_that_is_to_hover_is_not_moved():
+@pytest.mark.parametrize("mode", [HOVER_HERE, SPOTLIGHT])
+@pytest.mark.parametrize("stick", [RIGHT, FORWARD, UP])
+def test_a_vehicle_that_is_to_stay_is_not_trimmed_by_sticks_nor_by_buttons(mode, stick):
     hands = Hands()
-    hands.consoles.wanted = Wanted(mode=HOVER_HERE)
-    hands.push(RIGHT, 140)
-    assert hands.wanted == Wanted(mode=HOVER_HERE)
+    hands.consoles.wanted = Wanted(mode=mode)
+    hands.push(stick, 140)
+    hands.push(stick, -140)
+    assert not hands.consoles.order(ConsoleCommand.FARTHER, "page 1").done
+    assert hands.wanted == Wanted(mode=mode)
+
+
+@pytest.mark.parametrize(
+    ("mode", "acting"),
+    [
+        ("chase", TRIMS),
+        ("orbit", TRIMS[:4]),
+        ("profile", TRIMS[:4]),
+        ("top-down", ()),
+        ("spotlight", ()),
+        ("hover", ()),
+    ],
+)
+@pytest.mark.parametrize("is_set", [True, False])
+def test_a_trim_that_would_change_nothing_is_refused_and_does_not_wait_for_another_mode(mode, acting, is_set):
+    hands = Hands()
+    if is_set:
+        hands.consoles.set_mode = mode
+    else:
+        hands.consoles.wanted = Wanted(mode=mode)
+    before = hands.wanted
+    done = tuple(command for command in TRIMS if hands.consoles.order(command, "page 1").done)
+    assert done == acting
+    assert acting or hands.wanted == before
+    hands.consoles.wanted = before
+    for stick, commands in {FORWARD: TRIMS[:2], UP: TRIMS[2:4], RIGHT: TRIMS[4:]}.items():
+        hands.push(stick, 140)
+        assert (hands.wanted != before) is bool(set(commands) & set(acting))
+        hands.push(stick, 0)
+        hands.consoles.wanted = before
+
+
+@pytest.mark.parametrize("stick", [RIGHT, FORWARD, UP])
+@pytest.mark.parametrize("lost", [{"mode": Mode.COAST}, {"mode": Mode.SEARCH}, {"heard": False}, {"healthy": False}])
+def test_a_stick_that_is_held_through_a_loss_and_let_go_trims_nothing_by_itself(stick, lost):
+    hands = Hands()
+    hands.push(stick, -140)
+    hands.mode = lost.get("mode", Mode.FOLLOW)
+    hands.run(0.3 if "heard" not in lost else 2.5, heard=lost.get("heard", True), healthy=lost.get("healthy", True))
+    hands.mode = Mode.FOLLOW
+    hands.push(stick, -140)
+    hands.push(stick, 0)
+    before = hands.wanted
+    hands.push(stick, 0, 3.0)
+    assert hands.wanted == before, "nobody touches a stick"
+    assert hands.wanted.around_m_s == 0.0
 
 
 @given(st.lists(st.tuples(*(st.integers(-STICK_US, STICK_US) for _ in range(4))), max_size=15))
