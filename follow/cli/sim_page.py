@@ -1,5 +1,6 @@
 """`follow sim SCENARIO --page --ground`: a simulated flight in real time, commanded from page or ground station."""
 
+import logging
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -20,7 +21,7 @@ from follow.control.reach import why_out_of_reach
 from follow.control.selector import Selector
 from follow.control.servo import Servo
 from follow.control.target import Target
-from follow.flight.live_flight import Parts, fly
+from follow.flight.live_flight import LogForwarder, Parts, fly
 from follow.flight.session import conclude, keep_other_flight, kept_geometry, tracker_of
 from follow.geometry import Intrinsics
 from follow.link.transports import parse_address
@@ -47,12 +48,15 @@ def fly_watched(command: SimCommand, flight: FlightSpec, page: PageOptions | Non
         parse_address(command.ground)
     video_address(command)
     terminal = Terminal(waits=False)
+    forwarder = LogForwarder(terminal.report)
+    logging.getLogger("follow").addHandler(forwarder)
     try:
         with claimed(flight.out), open_page(page, flight.out, terminal, command.page_token) as exchange:
             terminal.report("starting: the scene is built and the tracker warms up, some 10 s")
             figures, failure = fly_in_real_time(command, flight, exchange, terminal)
         conclude(figures, flight.out, terminal, as_json=command.json, finished=True, failure=failure)
     finally:
+        logging.getLogger("follow").removeHandler(forwarder)
         terminal.flush()
 
 

@@ -38,7 +38,9 @@ PERIOD_S = 0.2  # between two frames that it gets, at least
 REST = 0.5  # of the time that it took for a frame, before it gets the next one: the board stays cool
 DELAY_S = 0.3  # in a simulation: two squares of 416 pixels take some 0.2 s of a core, and the camera is late also
 CLICK_S = 2.0  # longest wait of a click for its box
+SILENT_S = 10.0  # with no answer for this long one line says so; a large network loads for as long on a board
 NICEST = 19
+FIRST_TO_END = "1000"  # the highest of oom_score_adj, proc(5)
 END_S = 2.0  # for the process to end
 
 
@@ -84,6 +86,9 @@ class DetectorProcess:
         self._next_t_s = -float("inf")
         self._found: Detections | None = None
         self._failure = ""
+        self._late: Future[Answer] | None = None  # of a click that gave up waiting
+        self._is_warm = False  # it has answered: the first answer also waits for the process to start
+        self._told: set[str] = set()
 
     def update(self, frame: Frame | None, t_s: float) -> Detections | None:
         """Take in a round at `t_s` and its frame; what was found last, None if that is too old."""
@@ -93,17 +98,42 @@ class DetectorProcess:
             answer = self._answer(asked)
             if isinstance(answer, tuple):
                 self._found = Detections(looked_at.t_s, looked_at.index, answer)
+                self._judge_age(t_s - looked_at.t_s)
+        elif self._asked is not None and t_s - self._asked[2] > SILENT_S:
+            self._tell_once(f"the detector has not answered for {SILENT_S:g} s: clicks get the box of what stands out")
         if frame is not None and self._asked is None and t_s >= self._next_t_s and not self._has_ended:
             self._asked = self._calls.submit(self._call, frame.image, None), frame, t_s
         return self._found if is_fresh(self._found, t_s) else None
 
     def snap(self, image: UInt8, x: float, y: float) -> Box | None:
-        """The box of the likeliest object at a place (pixels) of an image; None without one, or if that takes long."""
+        """The box of the likeliest object at a place (pixels) of an image; None without one, or if that takes long.
+
+        While an image of an earlier click still waits, no other is queued behind it.
+        """
+        if self._has_ended or (self._late is not None and not self._late.done()):
+            return None
         try:
-            answer = None if self._has_ended else self._answer(self._calls.submit(self._call, image, (x, y)))
+            asked = self._calls.submit(self._call, image, (x, y))
+            answer = self._answer(asked)
         except (RuntimeError, CancelledError):  # the flight ends
             return None
+        self._late = None if asked.done() else asked
         return answer if isinstance(answer, Box) else None
+
+    def _judge_age(self, age_s: float) -> None:
+        """Say once that what is found comes too late to be of use."""
+        if self._is_warm and age_s > DETECTIONS_S:
+            self._tell_once(
+                f"the detector is too slow: it found boxes {age_s:.1f} s after their frame, and older ones than "
+                f"{DETECTIONS_S:g} s are not shown; take a smaller network"
+            )
+        self._is_warm = True
+
+    def _tell_once(self, words: str) -> None:
+        kind = words.partition(":")[0]
+        if kind not in self._told:
+            self._told.add(kind)
+            log.warning("%s", words)
 
     @property
     def _has_ended(self) -> bool:
@@ -152,6 +182,8 @@ def serve(path: Path, pipe: "Connection") -> None:
     """The process: answers each image that comes through `pipe`, until the other side closes it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the loop, which ends this process
     os.setpriority(os.PRIO_PROCESS, 0, NICEST)  # the service runs the loop at -10, and this would inherit it
+    with contextlib.suppress(OSError):  # where memory runs out the kernel ends this process, not the one that flies
+        Path("/proc/self/oom_score_adj").write_text(FIRST_TO_END, encoding="ascii")
     cv2.setNumThreads(max((os.cpu_count() or 1) - 1, 1))  # a core for the loop
     detector = Detector(path)
     with contextlib.suppress(EOFError, OSError):  # the flight has ended, however

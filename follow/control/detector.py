@@ -29,6 +29,7 @@ LEAST_SCORE = 0.25  # usual in the three families for showing a box
 SAME_IOU = 0.5  # two boxes with a larger overlap are of one object: usual in the three families
 COVERED = 0.7  # a part of an object lies in the object's box with at least this fraction of its area
 MOST = 32  # objects in an image: a person cannot choose among more
+CONSIDERED = 1000  # boxes of one look, the likeliest: suppression takes the square of their number
 MARGIN = 0.2  # of a box's size: a finger misses a small target
 STRIDES = (8, 16, 32)  # of YOLOX
 USUAL_SIZE = 640  # of a network that takes any size
@@ -61,8 +62,8 @@ class Detector:
         for left, top, side in squares(rows, columns):
             for found in self._look(colour, left, top, side):
                 (whole if is_inside(found.box, left, top, side, rows, columns) else cut_off).append(found)
-        kept = distinct(whole)
-        parts = [d for d in distinct(cut_off) if all(covered(d.box, k.box) < COVERED for k in kept)]
+        kept = distinct(whole)[: 4 * MOST]
+        parts = [d for d in distinct(cut_off)[: 4 * MOST] if all(covered(d.box, k.box) < COVERED for k in kept)]
         return tuple(sorted(kept + parts, key=lambda d: -d.score)[:MOST])
 
     def snap(self, image: UInt8, x: float, y: float) -> Box | None:
@@ -91,6 +92,8 @@ class Detector:
         factor = 1.0 / 255.0 if self._kind == "YOLOv8" else 1.0
         blob = cv2.dnn.blobFromImage(square, factor, swapRB=factor != 1.0)  # YOLOX takes BGR, YOLOv8 RGB
         output = self._run(np.asarray(blob, np.float32))
+        if kind_of(output, self._size) != self._kind:
+            raise ValueError(f"its output, of {self._kind} at first, has now the shape {output.shape}")
         if self._kind == "SSD":
             corners, scores = output.reshape(-1, SSD_FIELDS)[:, 3:] * self._size, output.reshape(-1, SSD_FIELDS)[:, 2]
             boxes = np.column_stack([corners[:, :2], corners[:, 2:] - corners[:, :2]])
@@ -100,7 +103,8 @@ class Detector:
             boxes = np.column_stack([centres[:, :2] - centres[:, 2:] / 2, centres[:, 2:]])
         good = (np.abs(boxes) <= 2 * self._size).all(axis=1) & (boxes[:, 2:] > 0).all(axis=1)  # NaN is neither
         good &= (scores >= LEAST_SCORE) & (scores <= 1.001)  # rounding of a half-precision network
-        pairs = zip(boxes[good], scores[good], strict=True)
+        order = np.argsort(-scores[good], kind="stable")[:CONSIDERED]
+        pairs = zip(boxes[good][order], scores[good][order], strict=True)
         return [Detection(Box(*map(float, box)), float(score)) for box, score in pairs]
 
 

@@ -98,6 +98,7 @@ class Selector:
         if isinstance(frame, str):
             return frame
         if choice.is_point and self._looks is not None:
+            self._look_no_more()
             self._looking = self._looks.submit(meant, choice, frame.image, self._snap), frame
             return ""
         return self._take(meant(choice, frame.image, self._snap), frame, is_tap=choice.is_point)
@@ -106,8 +107,15 @@ class Selector:
         why = box if isinstance(box, str) else self.out_of_reach(box, frame.t_s) if is_tap else ""
         if why or isinstance(box, str):
             return why
-        self._start, self._first, self._looking = Start(box, frame), None, None
+        self._start, self._first = Start(box, frame), None
+        self._look_no_more()
         return ""
+
+    def _look_no_more(self) -> None:
+        """The click whose box is looked for is void; one that still waits behind another is not looked at."""
+        if self._looking is not None:
+            self._looking[0].cancel()
+        self._looking = None
 
     def restart(self) -> None:
         """Start again in the next frame, on the box of the beginning."""
@@ -117,7 +125,7 @@ class Selector:
     def clear(self) -> None:
         """Forget the target."""
         self._start, self._first, self._done_t_s, self._has_target = None, None, None, False
-        self._looking = None
+        self._look_no_more()
         self._begin()
 
     def frame_of(self, selection: Selection) -> Frame | str:

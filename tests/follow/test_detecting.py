@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from follow.cli.detector import simulated_detector
+from follow.control import detecting
 from follow.control.detecting import DELAY_S, NICEST, PERIOD_S, REST, DelayedDetector, DetectorProcess
 from follow.control.servo import Servo
 from follow.control.target import Target
@@ -113,6 +114,11 @@ def test_the_process_finds_what_the_detector_finds_and_its_click_gets_the_same_b
     assert not process.is_alive()
 
 
+def failures(caplog):
+    """Without words on slowness: rounds here go faster than their times."""
+    return [message for message in caplog.messages if message.startswith("the detector failed")]
+
+
 def test_a_process_that_dies_is_told_once_and_the_flight_goes_on(file, caplog):
     with caplog.at_level(logging.WARNING), DetectorProcess(file) as detector:
         _, n = until(detector)
@@ -120,12 +126,12 @@ def test_a_process_that_dies_is_told_once_and_the_flight_goes_on(file, caplog):
         detector._process.join()
         for k in range(n, n + 3000):
             detector.update(frame(k), k * ROUND_S)
-            if caplog.messages:
+            if failures(caplog):
                 break
             time.sleep(0)
         assert detector.update(frame(k + 60), (k + 60) * ROUND_S) is None
         assert detector.snap(IMAGE, 320, 200) is None
-    assert caplog.messages == ["the detector failed: its process has ended"]
+    assert failures(caplog) == ["the detector failed: its process has ended"]
 
 
 KILLED = """
@@ -163,7 +169,7 @@ def test_a_network_that_fails_in_the_process_is_told_once_and_it_works_again_aft
         assert detector.snap(bad, 1, 1) is None
         assert detector.snap(bad, 1, 1) is None
         assert detector.snap(IMAGE, 320, 200) is not None
-    assert len([m for m in caplog.messages if m.startswith("the detector failed: ")]) == 1
+    assert len(failures(caplog)) == 1
 
 
 def test_a_process_that_is_stopped_keeps_nobody_from_ending(file):
@@ -171,6 +177,54 @@ def test_a_process_that_is_stopped_keeps_nobody_from_ending(file):
         pid = detector._process.pid
         os.kill(pid, signal.SIGSTOP)
     assert not is_running(pid)
+
+
+def test_while_a_process_hangs_one_click_waits_and_no_other_is_queued_behind_it(file, monkeypatch):
+    monkeypatch.setattr(detecting, "CLICK_S", 0.05)
+    with DetectorProcess(file) as detector:
+        while detector.snap(IMAGE, 320, 200) is None:
+            pass
+        os.kill(detector._process.pid, signal.SIGSTOP)
+        assert [detector.snap(IMAGE, 320, 200) for _ in range(20)] == [None] * 20
+        assert detector._calls._work_queue.qsize() <= 1
+        os.kill(detector._process.pid, signal.SIGCONT)
+        monkeypatch.setattr(detecting, "CLICK_S", 30.0)
+        detector._late.result(30.0)
+        assert detector.snap(IMAGE, 320, 200) is not None, "and a later click is looked at"
+
+
+def answered(detector, n, t_s):
+    """Ask about a frame, and take its answer at `t_s`."""
+    detector.update(frame(n), n * ROUND_S)
+    detector._asked[0].result(30.0)
+    detector.update(None, t_s)
+
+
+def test_a_detector_that_is_too_slow_is_told_so_once(file, caplog):
+    with DetectorProcess(file) as detector:
+        answered(detector, 0, 8.0)  # the process starts meanwhile
+        assert not caplog.messages
+        answered(detector, 500, 500 * ROUND_S + DETECTIONS_S)
+        assert not caplog.messages
+        for n in (1000, 1500):
+            answered(detector, n, n * ROUND_S + 2.3)
+    (line,) = caplog.messages
+    assert line.startswith("the detector is too slow: it found boxes 2.3 s after their frame")
+
+
+def test_a_detector_that_does_not_answer_is_told_so_once(file, caplog):
+    with DetectorProcess(file) as detector:
+        os.kill(detector._process.pid, signal.SIGSTOP)
+        for n in range(1000):
+            detector.update(frame(n), n * ROUND_S)
+    (line,) = caplog.messages
+    assert line.startswith("the detector has not answered for 10 s")
+
+
+def test_where_memory_runs_out_the_detector_is_ended_first(file):
+    with DetectorProcess(file) as detector:
+        until(detector)
+        assert Path(f"/proc/{detector._process.pid}/oom_score_adj").read_text().strip() == "1000"
 
 
 class BlindAWhile:

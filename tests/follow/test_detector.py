@@ -11,7 +11,7 @@ import pytest
 from follow.cli.commands import RunCommand
 from follow.cli.run import check
 from follow.control import detector
-from follow.control.detector import STRIDES, WINDOW, Detector, input_size, squares
+from follow.control.detector import CONSIDERED, MOST, STRIDES, WINDOW, Detector, input_size, squares
 from follow.control.selector import meant
 from follow.selection import Selection
 from racf.box import Box
@@ -69,6 +69,28 @@ def test_every_family_gives_the_boxes_and_scores_that_were_put_in(family, made):
     for detection, (box, score) in zip(found, sorted(OBJECTS, key=lambda o: -o[1]), strict=True):
         assert detection.box.iou(box) > 0.99
         assert detection.score == pytest.approx(score * (0.95 if family is yolox else 1.0), abs=1e-3)
+
+
+def test_of_a_flood_of_boxes_the_likeliest_are_considered(made):
+    scores = np.linspace(0.3, 0.9, 50_000)
+    flood = np.zeros((1, 1, 50_000, 7), np.float32)
+    flood[0, 0, :, 2] = scores
+    flood[0, 0, :, 3:] = np.random.default_rng(0).uniform((0, 0, 0.5, 0.5), (0.5, 0.5, 1, 1), (50_000, 4))
+    detector = made(flood)
+    found = detector.detect(np.zeros((SIDE, SIDE, 3), np.uint8))
+    assert [d.score for d in found] == pytest.approx(scores[::-1][:CONSIDERED])
+    assert len(detector.find(IMAGE)) <= MOST
+
+
+@FAMILIES
+@pytest.mark.parametrize("shape", [(), (1,), (1, 4), (1, 7, 3), (1, 1, 4, 6), (2, 2, 2, 2, 2), (0, 0, 0)])
+def test_an_output_that_changes_its_shape_is_refused_in_one_line(family, shape, made):
+    detector = made(family(OBJECTS))
+    detector._run = lambda _blob: np.zeros(shape, np.float32)
+    for look in (lambda: detector.find(IMAGE), lambda: detector.snap(IMAGE, 320, 200)):
+        with pytest.raises(ValueError, match=r"shape") as refused:
+            look()
+        assert "\n" not in str(refused.value)
 
 
 @FAMILIES

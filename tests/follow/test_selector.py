@@ -144,17 +144,42 @@ def test_what_nobody_could_mean_is_refused_in_words(selection, why):
 
 
 class Later:
-    """An executor whose work is done when it is told."""
+    """An executor whose work begins and is done when it is told."""
+
+    def __init__(self):
+        self.waiting, self.begun = [], []
 
     def submit(self, function, *arguments):
-        self.future, self.work = Future(), partial(function, *arguments)
-        return self.future
+        self.waiting.append((Future(), partial(function, *arguments)))
+        return self.waiting[-1][0]
+
+    def begin(self):
+        self.begun += [(future, work) for future, work in self.waiting if future.set_running_or_notify_cancel()]
+        self.waiting.clear()
 
     def finish(self):
-        self.future.set_result(self.work())
+        self.begin()
+        for future, work in self.begun:
+            future.set_result(work())
 
 
-def test_a_box_that_is_drawn_while_a_tap_is_looked_at_stays():
+def test_of_taps_that_wait_only_the_newest_is_looked_at():
+    recent, follower, later = RecentFrames(Film(60)), Follower(), Later()
+    selector = Selector(follower.init, follower.track, recent, lambda: None, looks=later)
+    for _ in recent.frames():
+        pass
+    for _ in range(50):
+        assert selector.choose(Selection(0.5, 0.5, 0.0, 0.0, 1.6, "a test")) == ""
+    later.begin()
+    assert len(later.begun) == 1
+    assert selector.choose(Selection(0.5, 0.5, 0.0, 0.0, 1.6, "a test")) == ""
+    selector.choose(Cleared("a test"))
+    later.begin()
+    assert len(later.begun) == 1, "and none after the target was cleared"
+
+
+@pytest.mark.parametrize("has_begun", [True, False])
+def test_a_box_that_is_drawn_while_a_tap_is_looked_at_stays(has_begun):
     recent, follower, later = RecentFrames(Film(60)), Follower(), Later()
     selector = Selector(follower.init, follower.track, recent, lambda: None, looks=later)
     heard = []
@@ -163,6 +188,8 @@ def test_a_box_that_is_drawn_while_a_tap_is_looked_at_stays():
         pass
     assert selector.choose(Selection(0.95, 0.95, 0.0, 0.0, 1.6, "a test")) == ""
     assert selector.is_looking
+    if has_begun:
+        later.begin()
     assert selector.choose(Selection(0.1, 0.3, 0.1, 0.1, 1.6, "a test")) == ""
     later.finish()
     selector.update(recent.kept[-1].image)
