@@ -18,10 +18,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from racf.kernels import compiled, inlined
+from racf.kernels import compiled
 
 UInt8 = NDArray[np.uint8]
 UInt32 = NDArray[np.uint32]
+UInt64 = NDArray[np.uint64]
 Float32 = NDArray[np.float32]
 
 GREY_OF_BGR = np.array([0.114, 0.587, 0.299], np.float32)  # ITU-R BT.601
@@ -39,8 +40,9 @@ SIGMA_LAB = 10.0  # about the spread of what one common name is used for
 LEVELS = 32  # per channel of the table: 8 grey levels a step, as usual for colour-name tables
 CHANNELS = len(TERMS) - 1
 STEP = 256 // LEVELS
-U1, U2, U3, U4, U5, U6, U7, U8, U9 = np.arange(1, CHANNELS, dtype=np.uint32)  # unsigned steps, as numba wants them
-PADDED = 16  # numbers a row of the compiled kernel's table
+WORDS = 4  # a row of the compiled kernel's table
+FIELD = 21  # bits of a word that hold a sum over a cell; three in a word
+_, U1, U2, U3 = np.arange(WORDS, dtype=np.uint64)  # unsigned steps, as numba wants them
 
 
 def _survey() -> dict[str, str]:
@@ -115,10 +117,22 @@ def colour_names_numpy(patch: UInt8, cell: int, names: Float32) -> Float32:
     return np.asarray(looked_up.reshape(rows, cell, cols, cell, -1).mean(axis=(1, 3)), dtype=np.float32)
 
 
-@functools.lru_cache(maxsize=1)
-def padded_table() -> Float32:
-    """`table` as `colours` wants it, (LEVELS^3, 16) and flat: a row is one cache line."""
-    return np.ascontiguousarray(np.pad(table(), ((0, 0), (0, PADDED - CHANNELS)))).reshape(-1)
+def _levels(cell: int) -> int:
+    """In how many steps a name of one pixel is counted, so that the sum over a cell fits its field."""
+    return (2**FIELD - 1) // cell**2
+
+
+@functools.lru_cache(maxsize=2)
+def packed_table(cell: int) -> UInt64:
+    """`table` as `colours` wants it, (LEVELS^3, 4) words and flat: name n is in word n % 4, field n // 4.
+
+    From -1..1 each name becomes 0.._levels(cell): whole numbers of ten names are added up four words at a time, to the
+    same sum in any order.
+    """
+    counted = np.rint((table() + 1) / 2 * _levels(cell)).astype(np.uint64)
+    fields = np.pad(counted, ((0, 0), (0, 3 * WORDS - CHANNELS))).reshape(-1, 3, WORDS)
+    shifts = (FIELD * np.arange(3, dtype=np.uint64))[:, None]
+    return np.ascontiguousarray(np.bitwise_or.reduce(fields << shifts, axis=1)).reshape(-1)
 
 
 class Colours:
@@ -126,8 +140,9 @@ class Colours:
 
     def __init__(self, rows: int, cols: int, cell: int, named: bool) -> None:
         self._shape, self._cell = (rows, cols), cell
-        self._names = padded_table() if named else np.empty(0, np.float32)
+        self._names = packed_table(cell) if named else np.empty(0, np.uint64)
         self._places, self._grey = np.empty(cell * cols * cell, np.uint32), np.empty(cols * cell, np.float32)
+        self._sums = np.empty(WORDS, np.uint64)
 
     def write(self, patch: UInt8, window: Float32, out: Float32) -> None:
         """Of (3 or 1, H, W) into the last channels of `out` (W/cell, H/cell, D): ten names, then grey, windowed.
@@ -138,52 +153,24 @@ class Colours:
         planes = np.arange(3, dtype=np.uint32) * np.uint32(patch[0].size if colour else 0)
         _cell_colours(
             patch.reshape(-1), planes, GREY_OF_BGR if colour else GREY_OF_GREY, self._cell, self._names,
-            window.reshape(-1), self._places, self._grey, out.reshape(-1), self._shape,
+            np.float32(2 / (_levels(self._cell) * self._cell**2)), window.reshape(-1), self._places, self._sums, self._grey,
+            out.reshape(-1), self._shape,
         )  # fmt: skip
-
-
-@inlined
-def _named(
-    places: UInt32, begin: int, cell: int, width: int, names: Float32, weight: np.float32, into: int, out: Float32
-) -> None:  # fmt: skip
-    """Write the names of a cell times a weight.  Ten numbers by name: an array's would be kept in memory."""
-    n0 = n1 = n2 = n3 = n4 = n5 = n6 = n7 = n8 = n9 = np.float32(0)
-    for y in range(cell):
-        first = np.uint32(y * width + begin)
-        for x in range(np.uint32(cell)):
-            i = places[first + x]
-            n0 += names[i]
-            n1 += names[i + U1]
-            n2 += names[i + U2]
-            n3 += names[i + U3]
-            n4 += names[i + U4]
-            n5 += names[i + U5]
-            n6 += names[i + U6]
-            n7 += names[i + U7]
-            n8 += names[i + U8]
-            n9 += names[i + U9]
-    out[into] = n0 * weight
-    out[into + U1] = n1 * weight
-    out[into + U2] = n2 * weight
-    out[into + U3] = n3 * weight
-    out[into + U4] = n4 * weight
-    out[into + U5] = n5 * weight
-    out[into + U6] = n6 * weight
-    out[into + U7] = n7 * weight
-    out[into + U8] = n8 * weight
-    out[into + U9] = n9 * weight
 
 
 @compiled
 def _cell_colours(
-    pixels: UInt8, planes: UInt32, mix: Float32, cell: int, names: Float32, window: Float32, places: UInt32,
-    grey: Float32, out: Float32, shape: tuple[int, int],
+    pixels: UInt8, planes: UInt32, mix: Float32, cell: int, names: UInt64, share: np.float32, window: Float32,
+    places: UInt32, sums: UInt64, grey: Float32, out: Float32, shape: tuple[int, int],
 ) -> None:  # fmt: skip
-    """See `Colours.write`; arrays are flat, `planes` says where blue, green and red begin."""
+    """See `Colours.write`; arrays are flat, `planes` says where blue, green and red begin.
+
+    A sum of names times `share` is 0..2.
+    """
     (rows, cols), width, channels = shape, np.uint32(grey.size), out.size // window.size
     mix_b, mix_g, mix_r = mix[0], mix[1], mix[2]
-    share, scale = np.float32(1.0 / (cell * cell)), np.float32(1.0 / (255 * cell * cell))
-    named = np.uint32(channels - CHANNELS - 1)
+    scale, field = np.float32(1.0 / (255 * cell * cell)), np.uint64(2**FIELD - 1)
+    named = channels - CHANNELS - 1
     for row in range(rows):
         for x in range(width):
             grey[x] = np.float32(0)
@@ -192,7 +179,7 @@ def _cell_colours(
             b, g, r = np.uint32(planes[0] + begin), np.uint32(planes[1] + begin), np.uint32(planes[2] + begin)
             for x in range(width):
                 blue, green, red = pixels[b + x], pixels[g + x], pixels[r + x]
-                places[line + x] = ((blue // STEP * LEVELS + green // STEP) * LEVELS + red // STEP) * PADDED
+                places[line + x] = ((blue // STEP * LEVELS + green // STEP) * LEVELS + red // STEP) * WORDS
                 grey[x] += mix_b * np.float32(blue) + mix_g * np.float32(green) + mix_r * np.float32(red)
         for col in range(cols):
             place, total = col * rows + row, np.float32(0)
@@ -202,4 +189,16 @@ def _cell_colours(
             out[into + np.uint32(channels - 1)] = (total * scale - np.float32(0.5)) * window[place]
             if names.size == 0:
                 continue
-            _named(places, col * cell, cell, grey.size, names, share * window[place], into + named, out)
+            w0 = w1 = w2 = w3 = np.uint64(0)
+            for y in range(cell):
+                first = np.uint32(y * grey.size + col * cell)
+                for x in range(np.uint32(cell)):
+                    i = np.uint64(places[first + x])
+                    w0 += names[i]
+                    w1 += names[i + U1]
+                    w2 += names[i + U2]
+                    w3 += names[i + U3]
+            sums[0], sums[1], sums[2], sums[3] = w0, w1, w2, w3
+            for n in range(CHANNELS):
+                total = np.float32(np.int64((sums[n % WORDS] >> np.uint64(FIELD * (n // WORDS))) & field))
+                out[into + np.uint32(named + n)] = (total * share - np.float32(1)) * window[place]

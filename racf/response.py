@@ -15,6 +15,8 @@ Complex64 = NDArray[np.complex64]
 Complex128 = NDArray[np.complex128]
 UInt32 = NDArray[np.uint32]
 
+SETTLED = 1e-4  # cells: after a Newton step below it the next one would be of the order of its square
+
 
 def correlate(z_f: Float32, g_f: Float32, out: Complex64) -> None:
     """out = sum_d z_d conj(g_d): folded spectra -> (H, W//2 + 1).
@@ -128,7 +130,8 @@ def _angles(height: int, width: int) -> tuple[Float64, Float64]:
 def refine_peak(response_f: Complex64, width: int, row: float, col: float, steps: int) -> tuple[float, float]:
     """Newton steps to the maximum of the response's trigonometric interpolation, from the grid's maximum.
 
-    row, col are shifts in cells; steps that leave the starting cell's neighbourhood are not taken.
+    row, col are shifts in cells; steps that leave the starting cell's neighbourhood are not taken, nor any after one
+    below SETTLED.
     """
     start_row, start_col = row, col
     exact, waves = response_f.astype(np.complex128), _waves(len(response_f), width)
@@ -141,4 +144,6 @@ def refine_peak(response_f: Complex64, width: int, row: float, col: float, steps
         if max(abs(row + step_row - start_row), abs(col + step_col - start_col)) > 1:
             break
         row, col = row + step_row, col + step_col
+        if max(abs(step_row), abs(step_col)) < SETTLED:
+            break
     return row, col
