@@ -142,7 +142,7 @@ class Colours:
         self._shape, self._cell = (rows, cols), cell
         self._names = packed_table(cell) if named else np.empty(0, np.uint64)
         self._places, self._grey = np.empty(cell * cols * cell, np.uint32), np.empty(cols * cell, np.float32)
-        self._sums = np.empty(WORDS, np.uint64)
+        self._sums, self._share = np.empty(WORDS, np.uint64), np.float32(2 / (_levels(cell) * cell**2))
 
     def write(self, patch: UInt8, window: Float32, out: Float32) -> None:
         """Of (3 or 1, H, W) into the last channels of `out` (W/cell, H/cell, D): ten names, then grey, windowed.
@@ -153,8 +153,7 @@ class Colours:
         planes = np.arange(3, dtype=np.uint32) * np.uint32(patch[0].size if colour else 0)
         _cell_colours(
             patch.reshape(-1), planes, GREY_OF_BGR if colour else GREY_OF_GREY, self._cell, self._names,
-            np.float32(2 / (_levels(self._cell) * self._cell**2)), window.reshape(-1), self._places, self._sums, self._grey,
-            out.reshape(-1), self._shape,
+            self._share, window.reshape(-1), self._places, self._sums, self._grey, out.reshape(-1), self._shape,
         )  # fmt: skip
 
 

@@ -134,16 +134,19 @@ def _histograms(
     strength: Int32, index: UInt32, places: UInt32, up: Float32, down: Float32, votes: Float32, out: Float32,
     shape: tuple[int, int, int],
 ) -> None:  # fmt: skip
-    """Bilinear votes into histograms (N, rows + 2, (cols + 2) 18), whose margin takes what falls outside.
+    """Bilinear votes into histograms (N, rows + 2, (cols + 2) 18), of which the cells within the margin are written.
 
     Neighbours in a row vote for one cell: each of the `cell` columns that share a cell has votes of its own, which are
-    added up when their rows are done.  Otherwise each vote would wait for the one before.
+    added up when their rows are done.  Otherwise each vote would wait for the one before.  A pixel votes for the row of
+    cells above its middle and for the one below: one half of `votes` belongs to the row that is about to be done, the
+    other to the next.
     """
     count, rows, cols = shape
-    directions, width, plane = 2 * ORIENTATIONS, np.uint32(first.size), np.uint32((cols + 1) * 2 * ORIENTATIONS)
-    lower_votes, scale = np.uint32(votes.size // 2), np.float32(1.0 / 510.0)
+    width, plane = np.uint32(first.size), (cols + 1) * 2 * ORIENTATIONS
+    scale, phases = np.float32(1.0 / 510.0), shares.shape[1]
     for n in range(count):
         for row in range(rows + 1):
+            upper, lower = np.uint32(row % 2 * phases * plane), np.uint32((row + 1) % 2 * phases * plane)
             for phase in range(cell):
                 y = row * cell - (cell + 1) // 2 + phase
                 if y < 0 or y >= rows * cell:
@@ -159,24 +162,22 @@ def _histograms(
                 for x in range(width):
                     places[x] = first[x] + bins[index[x]]
                 for x in range(width):
-                    votes[places[x]] += up[x]
-                    votes[lower_votes + places[x]] += down[x]
-            for which in range(2):
-                for phase in range(0, shares.shape[1], AT_ONCE):
-                    v0 = np.uint32(which * shares.shape[1] + phase) * plane
-                    v1 = v0 + plane
-                    v2 = v1 + plane
-                    v3 = v2 + plane
-                    for side in range(1, -1, -1):  # the cells one further, and these
-                        w0, w1, w2, w3 = (shares[side, phase], shares[side, phase + 1], shares[side, phase + 2],
-                                          shares[side, phase + 3])  # fmt: skip
-                        into = np.uint32(((n * (rows + 2) + row + which) * (cols + 2) + side) * directions)
-                        for i in range(plane):
-                            out[into + i] += (
-                                votes[v0 + i] * w0 + votes[v1 + i] * w1 + votes[v2 + i] * w2 + votes[v3 + i] * w3
-                            )
-            for i in range(np.uint32(votes.size)):
-                votes[i] = np.float32(0)
+                    votes[upper + places[x]] += up[x]
+                    votes[lower + places[x]] += down[x]
+            into = np.uint32((n * (rows + 2) + row) * (cols + 2) * 2 * ORIENTATIONS)
+            for phase in range(0, phases, AT_ONCE):
+                v0 = np.uint32(upper + phase * plane)
+                v1, v2, v3 = np.uint32(v0 + plane), np.uint32(v0 + 2 * plane), np.uint32(v0 + 3 * plane)
+                for side in range(2):  # these cells, and the ones one further
+                    w0, w1, w2, w3 = (shares[side, phase], shares[side, phase + 1], shares[side, phase + 2],
+                                      shares[side, phase + 3])  # fmt: skip
+                    to = np.uint32(into + side * 2 * ORIENTATIONS)
+                    for i in range(np.uint32(plane)):
+                        out[to + i] += votes[v0 + i] * w0 + votes[v1 + i] * w1 + votes[v2 + i] * w2 + votes[v3 + i] * w3
+            for i in range(np.uint32(phases * plane)):
+                votes[upper + i] = np.float32(0)
+        for i in range(np.uint32(votes.size)):
+            votes[i] = np.float32(0)
 
 
 @compiled
