@@ -42,7 +42,7 @@ $(BENCH)/.installed: pyproject.toml requirements.lock
 	touch $@
 
 bench: $(BENCH)/.installed
-	$(BENCH)/bin/racf bench $(SOURCE)
+	$(BENCH)/bin/racf bench $(SOURCE) --updates 10000
 
 # Which settings hold on sequences they were not chosen on: the tables of docs/study.md.  SOURCE as unpacked folders.
 study: setup

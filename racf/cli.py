@@ -98,6 +98,8 @@ class BenchCommand:
     """Frames of each sequence, at most."""
     no_first_call: bool = False
     """Leave out the times of a fresh process with a cold and a warm cache (it compiles all: some ten seconds)."""
+    updates: int = 0
+    """Run this many updates in a fresh process, too, and show its memory after a tenth of them and after all."""
     json: bool = False
     """Print the figures as JSON on standard output, and nothing else there."""
 
@@ -195,7 +197,11 @@ def bench(command: BenchCommand) -> None:
     specs = _specs(command.tracker or speed.OURS)
     if command.frames < 2:
         raise UsageError(f"--frames is at least 2, not {command.frames}")
-    figures = speed.bench(specs, _clips(command), to_stderr, first_call=not command.no_first_call)
+    if command.updates < 0:
+        raise UsageError(f"--updates is at least 0, not {command.updates}")
+    figures = speed.bench(
+        specs, _clips(command), to_stderr, first_call=not command.no_first_call, updates=command.updates
+    )
     if command.json:
         print(json.dumps(figures, indent=1))
     else:

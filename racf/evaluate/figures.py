@@ -107,3 +107,4 @@ class BenchFigures(TypedDict):
     clips: dict[str, dict[str, ClipFigures]]
     machine: MachineFigures
     first_call: NotRequired[dict[str, dict[str, float]]]
+    memory_mb: NotRequired[dict[str, float]]

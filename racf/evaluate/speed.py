@@ -63,6 +63,27 @@ print(json.dumps({**seconds, "memory_mb": held}))
 """
 
 
+# A fresh process tracks a target there and back, and says what it holds after each of some numbers of updates.
+GROWTH = """
+import itertools, json, resource, sys
+import racf
+from racf.evaluate.speed import Box, rendered
+racf.one_core()
+images = list(rendered(Box(400, 300, 48, 36), 60))
+there_and_back = itertools.cycle(images + images[-2:0:-1])
+tracker = racf.Racf(racf.preset(sys.argv[1]).with_settings(json.loads(sys.argv[2])))
+tracker.init(next(there_and_back), Box(400, 300, 48, 36))
+held, done = {}, 0
+for count in json.loads(sys.argv[3]):
+    for image in itertools.islice(there_and_back, count - done):
+        tracker.update(image)
+    done = count
+    with open("/proc/self/statm") as file:
+        held[str(count)] = int(file.read().split()[1]) * resource.getpagesize() / 1e6
+print(json.dumps(held))
+"""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Clip:
     """A named list of images and the target in the first."""
@@ -137,11 +158,13 @@ def floors_ms(specs: list[TrackerSpec], clips: list[Clip]) -> dict[str, dict[str
 
 
 def bench(
-    specs: list[TrackerSpec], clips: list[Clip], notify: Callable[[str], None], *, first_call: bool = True
-) -> BenchFigures:
+    specs: list[TrackerSpec], clips: list[Clip], notify: Callable[[str], None], *, first_call: bool = True,
+    updates: int = 0,
+) -> BenchFigures:  # fmt: skip
     """Measure ours and OpenCV's CSRT and KCF on every clip; `notify` is given a line for each.
 
-    `first_call` adds the times of fresh processes with cold and warm caches of compiled kernels.
+    `first_call` adds the times of fresh processes with cold and warm caches of compiled kernels, `updates` the memory
+    of one after a tenth of them and after all.
     """
     others = peers()
     if not others:
@@ -158,6 +181,8 @@ def bench(
         ours["cost"] = cost_of(params, ours["fps"], [clip.target for clip in clips])
     if first_call:
         figures["first_call"] = first_calls(specs[0])
+    if updates:
+        figures["memory_mb"] = memory_after(specs[0], [max(updates // 10, 1), updates])
     return figures
 
 
@@ -198,8 +223,19 @@ def first_calls(spec: TrackerSpec) -> dict[str, dict[str, float]]:
 
 def first_call(spec: TrackerSpec, environment: dict[str, str]) -> dict[str, float]:
     """The same for one fresh process, with this added to its environment."""
+    return _in_a_fresh_process(FIRST_CALL, spec, environment)
+
+
+def memory_after(spec: TrackerSpec, updates: list[int]) -> dict[str, float]:
+    """The resident MB of a fresh process after each of these numbers of updates, by number."""
+    return _in_a_fresh_process(GROWTH, spec, {}, json.dumps(updates))
+
+
+def _in_a_fresh_process(
+    program: str, spec: TrackerSpec, environment: dict[str, str], *arguments: str
+) -> dict[str, float]:  # fmt: skip
+    command = [sys.executable, "-c", program, spec.name, json.dumps(dict(spec.settings)), *arguments]
     environment = {**os.environ, **environment}
-    command = [sys.executable, "-c", FIRST_CALL, spec.name, json.dumps(dict(spec.settings))]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise RuntimeError(f"a fresh process with {spec.label} failed: {done.stderr.strip().splitlines()[-1]}")
@@ -263,6 +299,9 @@ def tables(figures: BenchFigures) -> list[Table]:
         )
         header = ("caches", "import s", "init s", "first update s", "memory beyond imports MB")
         out.append(Table(f"A fresh process with {next(iter(ours))}, in processor time", header, rows))
+    if "memory_mb" in figures:
+        rows = tuple((updates, f"{held:.1f}") for updates, held in figures["memory_mb"].items())
+        out.append(Table(f"What a process with {next(iter(ours))} holds", ("updates", "resident MB"), rows))
     return out
 
 

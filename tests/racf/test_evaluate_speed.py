@@ -71,6 +71,13 @@ def test_a_fresh_process_says_how_long_its_first_update_took_and_what_it_holds()
     assert 0 < figures["memory_mb"] < 500
 
 
+def test_a_process_that_goes_on_tracking_holds_no_more_memory():
+    held = speed.memory_after(TrackerSpec.parse("racf,robust"), [50, 250])
+    assert list(held) == ["50", "250"]
+    assert 50 < held["50"] < 1000
+    assert held["250"] < held["50"] + 5  # a thirtieth of a frame for each update would be 18
+
+
 def test_the_least_work_grows_with_iterations_and_not_with_a_target_larger_than_the_sample():
     racf, target = preset("racf"), Box(0, 0, 40, 40)
     works = [roofline.work_of_stages(preset(name), target)["learn filter"].flops for name in ("racf--", "arcf-hc")]
