@@ -99,7 +99,7 @@ class BenchCommand:
     no_first_call: bool = False
     """Leave out the times of a fresh process with a cold and a warm cache (it compiles all: some ten seconds)."""
     updates: int = 0
-    """Run this many updates in a fresh process, too, and show its memory after a tenth of them and after all."""
+    """Run also this many updates in a fresh process, and show its memory after a tenth of them and after all."""
     json: bool = False
     """Print the figures as JSON on standard output, and nothing else there."""
 

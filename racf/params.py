@@ -67,7 +67,7 @@ class Params:
     refine_iterations: int = 3
     refine_blend: float = 0.5  # weight of the segment's box in the refined box [measured]
     refine_renew: int = 10  # frames for which GrabCut's colour models serve [measured]
-    refine_pause: int = 7  # most frames skipped after rejected segments [measured]
+    refine_pause: int = 31  # most frames skipped after rejected segments [measured]
     refine_min_target_px: float = 20.0  # smaller targets are too few pixels to segment [measured]
 
     # What a follower needs and the paper lacks: five switches (`robust` means all five) and their numbers
@@ -108,7 +108,7 @@ class Params:
             if getattr(self, name) < 0:
                 raise ValueError(f"{name} is at least 0, not {getattr(self, name)}")
         at_least = {
-            "cell_px": 1, "admm_iterations": 1, "newton_iterations": 0, "scales": 3, "refine_size_px": 8,
+            "cell_px": 1, "admm_iterations": 1, "newton_iterations": 0, "scales": 3, "refine_size_px": 16,
             "refine_iterations": 1, "redetect_places": 0, "redetect_reach": 1, "redetect_patience": 1,
             "search_area": 1.0, "sample_min_px": 4 * self.cell_px, "sample_max_px": self.sample_min_px,
             "scale_model_area_px": 4 * self.cell_px**2,

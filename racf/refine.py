@@ -38,9 +38,10 @@ class Refinement:
 class Refiner:
     """GrabCut around a box, with the parameters `refine_*`; one for each target, since it remembers its colours.
 
-    Learning GrabCut's two colour models takes four times as long as cutting with known ones, and the colours of target
-    and surroundings hardly change from frame to frame: the models are renewed every `refine_renew` frames.  While
-    segments keep being rejected, trying is wasted: after k rejections k frames are skipped, at most `refine_pause`.
+    Learning GrabCut's two colour models takes longer than cutting with known ones: every second pixel of every second
+    line is enough for them, and as the colours of target and surroundings hardly change from frame to frame, they are
+    renewed every `refine_renew` frames.  While segments keep being rejected, trying is wasted: 1 frame is skipped after
+    the first rejection, then 3, 7, 15 and so on, at most `refine_pause`.
 
     As a side effect, learning the models seeds OpenCV's random generator (`cv2.setRNGSeed(0)`), so that equal
     images give equal masks.
@@ -50,7 +51,7 @@ class Refiner:
         self.params = params
         self._min_iou = params.strict_iou if params.strict_refine else params.refine_min_iou
         self._models: tuple[Float64, Float64] | None = None
-        self._age = self._rejected = self._waiting = 0
+        self._age = self._pause = self._waiting = 0
 
     def refine(self, image: UInt8, box: Box) -> Refinement | None:
         """A second opinion on `box`; None if the target is too small or segments were just rejected."""
@@ -61,10 +62,11 @@ class Refiner:
             self._waiting -= 1
             return None
         refinement = self._segment(image, box)
-        self._rejected = self._rejected + 1 if refinement.box is None else 0
-        self._waiting = min(self._rejected, params.refine_pause)
         if refinement.box is None:
-            self._models = None
+            self._pause, self._models = min(2 * self._pause + 1, params.refine_pause), None
+            self._waiting = self._pause
+        else:
+            self._pause = 0
         return refinement
 
     def _segment(self, image: UInt8, box: Box) -> Refinement:
@@ -89,19 +91,24 @@ class Refiner:
 
     def _cut(self, patch: UInt8, inner: tuple[int, int, int, int]) -> UInt8:
         """0/1 foreground of (s, s, 3), all of it inside `inner` (x, y, w, h)."""
-        params = self.params
+        if self._models is None or self._age >= self.params.refine_renew:
+            self._models, self._age = self._learned(patch, inner), 0
+        self._age += 1
+        x, y, w, h = inner
         labels = np.full(patch.shape[:2], cv2.GC_BGD, np.uint8)
-        if self._models is not None and self._age < params.refine_renew:
-            self._age += 1
-            x, y, w, h = inner
-            labels[y : y + h, x : x + w] = cv2.GC_PR_FGD
-            cv2.grabCut(patch, labels, inner, *self._models, 1, cv2.GC_EVAL_FREEZE_MODEL)
-        else:
-            # OpenCV seeds the colour models from its global generator: the same images must give the same masks.
-            cv2.setRNGSeed(0)
-            self._models, self._age = (np.zeros((1, 65)), np.zeros((1, 65))), 1
-            cv2.grabCut(patch, labels, inner, *self._models, params.refine_iterations, cv2.GC_INIT_WITH_RECT)
+        labels[y : y + h, x : x + w] = cv2.GC_PR_FGD
+        cv2.grabCut(patch, labels, inner, *self._models, 1, cv2.GC_EVAL_FREEZE_MODEL)
         return np.bitwise_and(labels, np.uint8(1), dtype=np.uint8)
+
+    def _learned(self, patch: UInt8, inner: tuple[int, int, int, int]) -> tuple[Float64, Float64]:
+        """The colour models of the surroundings and of the target inside `inner`, from a quarter of the pixels."""
+        sparse, (x, y, w, h) = np.ascontiguousarray(patch[::2, ::2]), inner
+        models = np.zeros((1, 65)), np.zeros((1, 65))
+        # OpenCV seeds the colour models from its global generator: the same images must give the same masks.
+        cv2.setRNGSeed(0)
+        labels, rectangle = np.empty(sparse.shape[:2], np.uint8), ((x + 1) // 2, (y + 1) // 2, w // 2, h // 2)
+        cv2.grabCut(sparse, labels, rectangle, *models, self.params.refine_iterations, cv2.GC_INIT_WITH_RECT)
+        return models
 
 
 def blend(box: Box, other: Box, share: float) -> Box:

@@ -63,9 +63,17 @@ def test_kept_colour_models_give_the_mask_that_new_ones_give():
 def test_rejected_segments_make_pauses():
     refiner = Refiner(WHOLE)
     flat = np.full((200, 300, 3), 90, np.uint8)
-    asked = [refiner.refine(flat, Box(120, 80, 50, 36)) is not None for _ in range(60)]
-    assert asked[0]
-    assert 5 < sum(asked) < 15
+    asked = [refiner.refine(flat, Box(120, 80, 50, 36)) is not None for _ in range(100)]
+    assert [n for n, was in enumerate(asked) if was] == [0, 2, 6, 14, 30, 62, 94]
+
+
+@pytest.mark.parametrize("size", [16, 17, 52])
+@pytest.mark.parametrize("side", [21.0, 60.0, 190.0])
+def test_colour_models_are_learned_from_whatever_size_is_segmented(size, side):
+    refiner = Refiner(dataclasses.replace(WHOLE, refine_size_px=size, refine_min_target_px=1, refine_pause=0))
+    for ratio in (0.1, 1.0, 9.0):
+        box = Box.around(150, 100, side * ratio, side)
+        assert refiner.refine(scene(Box(120, 80, 50, 36)), box) is not None
 
 
 class Still:
