@@ -209,8 +209,8 @@ class GroundSources:
         ratio = max(word.height_m / max(word.by_size_m, CLEAR_M), LEAST_RATIO)
         self.near_ratio = min(self.near_ratio, ratio)
         self.contradiction = (
-            f"by {source.value} the vehicle is {word.height_m:.1f} m above the target's ground, by its size "
-            f"(target.size_m {size_m:.2f}) {word.by_size_m:.1f} m: tell the right size, or do not follow"
+            f"the box does not fit a target of {size_m:.1f} m: by its size the vehicle is {word.by_size_m:.0f} m above "
+            f"its ground, by {source.value} {word.height_m:.0f} m: box the whole target, or set target.size_m"
         )
 
 

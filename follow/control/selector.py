@@ -186,6 +186,8 @@ def meant(selection: Selection, image: Image, snap: Snap = lambda _image, _x, _y
         box = snap(image, left, top)
         if box is None or min(box.w, box.h) < MIN_SIDE_PX or is_outside(box, rows, columns):
             box = box_at(image, left, top)
+        if box is not None and max(box.w, box.h) < MIN_SIDE_PX:  # a speck of the ground
+            box = None
         return "nothing stands out there: draw a box" if box is None else box
     sides = selection.width * columns, selection.height * rows
     if min(sides) < MIN_SIDE_PX:

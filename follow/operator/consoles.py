@@ -345,11 +345,11 @@ class Consoles:
             return "no estimate yet"
         seen = self.tick.estimate
         height_m, unseen_s = seen.range_m * math.tan(seen.depression_rad), self.tick.state.t_s - seen.seen_t_s
-        unseen = f"not seen for {unseen_s:.0f} s, " if unseen_s > UNSEEN_S else ""
+        unseen = f"not seen for {unseen_s:.0f} s; " if unseen_s > UNSEEN_S else ""
         mode = self.flown_mode or self.set_mode
         kept = self.kept()
         at = f"{kept.standoff_m:.0f} m, as {kept.why}" if kept.why else f"{self.standoff_m:.0f} m"
-        return f"{unseen}{seen.range_m:.0f} m away, {height_m:.0f} m above it; {mode} at {at}"
+        return f"{unseen}{mode} at {at} (now {seen.range_m:.0f} m away, {height_m:.0f} m above it)"
 
 
 def shown(tick: Tick, before: TrackingStatus) -> TrackingStatus:

@@ -11,6 +11,9 @@ from follow.safety.modes import open_modes
 PLAUSIBLE = 1e6
 """Bound on telemetry numbers (m, m/s, rad): a larger one is invalid.  Desired velocities are clamped to it."""
 
+UNSEEN = "target not seen"
+"""What forbids FOLLOW while the target is not seen, or none is selected."""
+
 CONTESTED_S = 3.0
 """The vehicle's id counts as used by two senders for this long after the last packet of the second one."""
 
@@ -90,5 +93,5 @@ def hindrances(
         found.append(Hindrance(f"the autopilot must report that the vehicle is in the air, not {word}"))
     found += [Hindrance(text, passing=True) for text in old]
     if not unseen_s <= limits.coast_after_s:
-        found.append(Hindrance("target not seen", passing=True))
+        found.append(Hindrance(UNSEEN, passing=True))
     return tuple(found)

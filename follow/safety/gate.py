@@ -151,7 +151,7 @@ def decide(
     if is_fresh and unseen_s > limits.search_after_s:
         target = GONE
     gate = replace(gate, aimed_t_s=t_s) if instruction.aimed else gate
-    authority = judged(gate.authority, facts(gate, target, state, old, unseen_s, instruction, limits), limits)
+    authority = judged(gate.authority, facts(gate, target, estimate, state, old, unseen_s, instruction, limits), limits)
     if authority.mode in STREAMING and not math.isfinite(state.yaw_rad):
         # Without a heading no NED velocity can be turned into body axes, not even the ramp to zero.
         authority = replace(authority, mode=Mode.ENDED, reason=Reason(Cause.NO_HEADING), order=None)
@@ -181,6 +181,7 @@ def decide(
 def facts(
     gate: Gate,
     target: Worst,
+    estimate: Estimate,
     state: VehicleState,
     old: tuple[str, ...],
     unseen_s: float,
@@ -191,12 +192,19 @@ def facts(
     stopping = must_stop(state, gate.authority.had_remote) or disobeying(gate.response, state, limits)
     found = hindrances(state, old, unseen_s, stopping, instruction.forbids, limits)
     if target is not UNKNOWN and distance_m(target) < limits.min_standoff_m:
-        near = f"the target may be nearer than {limits.min_standoff_m:g} m"
-        found = (*found, Hindrance(near, passing=True))
+        found = (*found, Hindrance(too_near(estimate, limits), passing=True))
     beyond, over = gate.reach.told, given_up(gate.reach, state, limits)
     # A target that was just chosen is looked for as long as one that was lost.
     waited_s = unseen_s if math.isfinite(unseen_s) else state.t_s - gate.aimed_t_s
     return Facts(state, old, waited_s, found, stopping, beyond, over, speed(gate) < STILL_M_S, instruction)
+
+
+def too_near(estimate: Estimate, limits: Limits) -> str:
+    """What forbids FOLLOW of a target that may be within the minimum stand-off: its place, or how little is known."""
+    least_m = limits.min_standoff_m
+    if math.hypot(estimate.range_m, estimate.range_m * math.tan(estimate.depression_rad)) < least_m:
+        return f"the target is nearer than {least_m:g} m: fly back"
+    return f"range uncertain, maybe under {least_m:g} m: wait"
 
 
 def remembered(gate: Gate, target: Worst, estimate: Estimate, state: VehicleState, dt_s: float, is_fresh: bool) -> Gate:

@@ -163,9 +163,9 @@ def test_a_trim_stops_at_the_nearest_that_is_kept_says_why_and_is_not_wound_up()
 
 def test_what_is_proposed_is_the_stand_off_that_will_be_kept():
     desk = Desk(standoff_m=12.0)
-    assert desk.consoles.proposal().endswith("chase at 12 m")
+    assert desk.consoles.proposal().startswith("chase at 12 m")
     desk.consoles.kept = lambda: KeptStandoff(18.0, "the target is far below")
-    assert desk.consoles.proposal().endswith("chase at 18 m, as the target is far below")
+    assert desk.consoles.proposal().startswith("chase at 18 m, as the target is far below")
 
 
 def test_a_refused_selection_goes_back_with_its_reason_and_a_flood_is_one():

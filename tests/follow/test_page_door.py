@@ -79,6 +79,7 @@ def test_a_name_that_was_pointed_here_is_refused(rig):
         code, words = refused(rig, "/", Host=host)
         assert code == 403
         assert "address" in words
+    assert "<script>" not in refused(rig, "/", Host="<script>alert(1)</script>")[1], "what was sent is shown as text"
     with (
         pytest.raises(InvalidStatus),
         connect(f"ws://evil.example:{rig.port}/window", sock=socket_to(rig), origin=f"http://evil.example:{rig.port}"),
@@ -105,7 +106,11 @@ def test_the_page_frames_nothing_loads_nothing_and_is_framed_by_nobody(rig):
 def test_a_token_lets_in_once_in_the_address_then_as_a_cookie(tmp_path):
     with PageRig(tmp_path / "now", TOKEN) as rig:
         assert refused(rig)[0] == 403
-        assert refused(rig, "/?token=wrong")[0] == 403
+        assert "whole address with ?token=" in refused(rig)[1]
+        code, words = refused(rig, "/?token=wrong")
+        assert code == 403
+        assert "this token is wrong" in words
+        assert "width=device-width" in words, "a phone shows it in letters that can be read"
         assert refused(rig, "/recordings")[0] == 403
         with pytest.raises(InvalidStatus) as error, rig.window():
             pass

@@ -8,7 +8,7 @@ import pytest
 
 from follow.camera.recent import RecentFrames
 from follow.control.click import box_at
-from follow.control.selector import CATCH_UP, Selector
+from follow.control.selector import CATCH_UP, Selector, meant
 from follow.messages import Frame
 from follow.selection import Cleared, Selection
 from racf.box import Box
@@ -223,3 +223,14 @@ def test_recent_frames_are_bounded_by_time_and_by_bytes():
     for _ in few.frames():
         pass
     assert len(few.kept) == 10
+
+
+def test_a_tap_on_a_speck_of_the_ground_selects_nothing():
+    image = np.full((360, 640, 3), 90, np.uint8)
+    image[180:184, 300:304] = (40, 60, 230)
+    assert box_at(image, 302, 182) is not None, "it stands out"
+    assert meant(Selection(302 / 640, 182 / 360, 0.0, 0.0, 0.0, "a test"), image) == (
+        "nothing stands out there: draw a box"
+    )
+    image[180:188, 300:304] = (40, 60, 230)  # a person 8 pixels high
+    assert not isinstance(meant(Selection(302 / 640, 184 / 360, 0.0, 0.0, 0.0, "a test"), image), str)

@@ -91,7 +91,7 @@ def test_the_true_size_is_learnt_from_the_ground_of_the_start(size):
 @pytest.mark.parametrize("size", [0.5, 3.0])
 def test_a_size_that_the_ground_contradicts_is_said_and_the_nearer_range_counts(size):
     _, estimate = watched_from(10.0, size)
-    assert "tell the right size" in estimate.contradiction
+    assert "set target.size_m" in estimate.contradiction
     assert estimate.range_near_m < 12.0
     _, told = watched_from(10.0, size, TargetConfig(size_m=size))
     assert not told.contradiction

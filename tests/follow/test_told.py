@@ -71,7 +71,7 @@ def test_what_a_person_does_at_any_console_reaches_the_pilot():
     for k in range(100):
         texts.send(30.0 + 0.05 * k)
     assert [text.removeprefix(PREFIX)[:24] for text, _ in ears.texts] == [
-        "target selected", "follow: CONFIRM: 20 m aw", "confirmed"]  # fmt: skip
+        "target selected", "follow: CONFIRM: chase a", "confirmed"]  # fmt: skip
     desk.order("orbit", PAGE)
     assert not texts.waiting, "what was refused at another console for its trims is that console's matter"
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from websockets.sync.client import connect
 
-from follow.messages import HOVER, Decision, Estimate, Frame, Mode, Tick, VehicleState
+from follow.messages import HOVER, STARTED, Decision, Estimate, Frame, Instruction, Mode, Tick, VehicleState
 from follow.operator.authority import Operator
 from follow.operator.consoles import Consoles
 from follow.operator.page.desk import PageDesk
@@ -31,7 +31,7 @@ class PageRig:
     def __init__(self, out: Path, token: str = "", host: str = "127.0.0.1", suffix: str = "") -> None:
         self.lines, self.chosen, self.refusal = [], [], ""
         self.mode, self.n, self.has_target = Mode.READY, 0, False
-        self.found = None
+        self.found, self.reason, self.heeds = None, STARTED, None
         self.operator = Operator(self.lines.append)
         self.consoles = Consoles(self.operator, self.select, self.report)
         self.exchange = Exchange()
@@ -56,8 +56,11 @@ class PageRig:
         track = Track(BOX, BOX, 30.0, 100.0, 0.9) if self.has_target else None
         seen = Estimate(t_s, 0.0, 0.4, 20.0, 0.5, seen_t_s=t_s)
         state = VehicleState(t_s, heartbeat_t_s=t_s)
-        decision = Decision(None, self.mode)
-        tick = Tick(Frame(image, t_s, self.n), track, state, seen, HOVER, decision, found=self.found)
+        decision = Decision(None, self.mode, (), self.reason)
+        heeded = Instruction(self.heeds)
+        tick = Tick(
+            Frame(image, t_s, self.n), track, state, seen, HOVER, decision, instruction=heeded, found=self.found
+        )
         self.consoles.see(tick)
         self.desk.see(tick)
 

@@ -5,10 +5,11 @@ from collections import deque
 from collections.abc import Callable
 
 from follow.geometry import heading_to_ned
-from follow.messages import NEVER, Cause, Estimate, Frame, Mode, Tick, VehicleState
+from follow.messages import NEVER, Cause, Decision, Estimate, Frame, Mode, Order, Tick, VehicleState
 from follow.operator.consoles import CONFIRM_S, SPOTLIGHT, Consoles
 from follow.operator.page.exchange import Act, Doing, Exchange, Shown, number
 from follow.recording.rows import held_by
+from follow.safety.checks import UNSEEN
 from follow.safety.modes import FLYING, STREAMING
 from follow.selection import HOVER_HERE, Cleared, Detections, Selection, TrackingState, TrackingStatus
 
@@ -34,21 +35,42 @@ STATES = {
 """The state in large letters, in each mode of the gate."""
 
 
-SELECT = "SELECT A TARGET"
+SELECT, HOLDS = "SELECT A TARGET", "HOLDS"
 TO_SELECT = "drag a box around it in the image, or tap it; nothing is sent to the vehicle yet"
-UNSELECTED = (Cause.STARTED, Cause.NOT_SEEN)
-"""Causes that say no more than that nothing is selected."""
+AGAIN = "stopped before; FOLLOW flies to the target that is drawn now"
+NOT_SEEN_YET = "target not seen: wait, or draw the box again"
+HOVERS = "hovers until FOLLOW or STOP"
 
 
-def headline(mode: Mode, wanted: str, tracking: TrackingState) -> tuple[str, str]:
-    """The state in large letters and its tone; `wanted` is the mode that a person wants."""
+def headline(mode: Mode, wanted: str, tracking: TrackingState, *, is_new: bool) -> tuple[str, str]:
+    """The state in large letters and its tone; `wanted` is the mode that a person wants.
+
+    `is_new`: the target was selected after the flight to the one before ended, which is STOPPED no more.
+    """
     if mode in (Mode.OBSERVE, Mode.READY, Mode.ENDED) and tracking is TrackingState.IDLE:
         return ("STOPPED" if mode is Mode.ENDED else SELECT), CALM
+    if mode is Mode.ENDED and is_new:
+        return STATES[Mode.READY]
     if mode is Mode.FOLLOW and wanted == SPOTLIGHT:
         return "SPOTLIGHT", GOOD
     if mode in FLYING and wanted == HOVER_HERE:
-        return "HOLDS", WARNS
+        return HOLDS, WARNS
     return STATES[mode]
+
+
+def explanation(words: str, decision: Decision) -> str:
+    """The line below the state `words` (of `headline`): why, or what to do."""
+    cause, what = decision.reason.cause, decision.reason.what
+    is_unseen = cause is Cause.NOT_READY and what == UNSEEN
+    if words == SELECT and (is_unseen or cause in (Cause.STARTED, Cause.NOT_SEEN)):
+        return TO_SELECT
+    if is_unseen:
+        return NOT_SEEN_YET
+    if words == STATES[Mode.READY][0] and decision.mode is Mode.ENDED:
+        return AGAIN
+    if words == HOLDS and cause is Cause.OBEYS:
+        return HOVERS
+    return f"stopped by {what}" if cause is Cause.OBSERVE_ORDERED else str(decision.reason)
 
 
 def detected(found: Detections | None, frame: Frame | None, t_s: float) -> dict[str, object] | None:
@@ -84,6 +106,7 @@ class PageDesk:
         self._frame: Frame | None = None
         self._status: TrackingStatus | None = None
         self._path_t_s = NEVER
+        self._ended_t_s = NEVER  # the last round in which setpoints were sent, or STOP was ordered
         exchange.is_flying = True
         consoles.answer = lambda by, reply: exchange.reply(by, reply.words, done=reply.done)
 
@@ -142,7 +165,10 @@ class PageDesk:
         """The status of one round as JSON has it."""
         consoles, decision, state, seen = self._consoles, tick.decision, tick.state, tick.estimate
         wanted = consoles.wanted
-        words, tone = headline(decision.mode, wanted.mode, consoles.status.state)
+        if decision.mode in STREAMING or tick.instruction.order is Order.OBSERVE:
+            self._ended_t_s = state.t_s
+        is_new = consoles.drawn_t_s > self._ended_t_s
+        words, tone = headline(decision.mode, wanted.mode, consoles.status.state, is_new=is_new)
         held = [note.replace("limits.", "") for note in held_by(decision.notes)]
         confidence = tick.track.confidence if tick.track is not None else math.nan
         is_known = seen.seen_t_s > NEVER
@@ -151,7 +177,7 @@ class PageDesk:
             "state": f"{words} {self._suffix}".rstrip(),
             "tone": tone,
             "mode": decision.mode.value,
-            "why": TO_SELECT if words == SELECT and decision.reason.cause in UNSELECTED else str(decision.reason),
+            "why": explanation(words, decision),
             "streams": decision.mode in STREAMING,
             "vehicle": state.mode or "no known mode",
             "armed": state.armed,

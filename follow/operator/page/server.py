@@ -5,6 +5,7 @@
 
 import asyncio
 import contextlib
+import html
 import logging
 import socket
 import threading
@@ -17,13 +18,13 @@ import uvicorn
 from starlette.applications import Starlette
 from starlette.datastructures import Headers
 from starlette.requests import Request
-from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, RedirectResponse, Response
+from starlette.responses import FileResponse, HTMLResponse, JSONResponse, PlainTextResponse, RedirectResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from typing_extensions import Self
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from follow.messages import Notify
-from follow.operator.page.door import Door, PageAddress, require_token
+from follow.operator.page.door import Door, PageAddress, Refusal, require_token
 from follow.operator.page.exchange import Exchange
 from follow.operator.page.recordings import FlightShelf
 from follow.operator.page.reports import Reports
@@ -36,6 +37,15 @@ REQUEST_S = 5.0  # in which a new connection makes its request
 SERVER_LOG = logging.getLogger("uvicorn")
 HTML = Path(__file__).with_name("page.html")
 REPORTS_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox"
+REFUSED = """<!doctype html><meta name="viewport" content="width=device-width, initial-scale=1"><title>Follow</title>
+<p style="font: bold 20px sans-serif; overflow-wrap: anywhere">{words}</p>
+"""
+NO_TOKEN = Refusal(403, "open the page by the whole address with ?token=... that was printed or is in your token file")
+WRONG_TOKEN = Refusal(
+    403,
+    "this token is wrong, or of an earlier start: open the page by the whole address with ?token=... that was printed "
+    "by this start or is in your token file",
+)
 
 Scope = MutableMapping[str, Any]
 Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
@@ -51,26 +61,26 @@ def guarded_by(door: Door, app: App) -> App:
         headers = Headers(scope=scope)
         refused = door.refusal(headers, changes=is_socket or scope.get("method") not in ("GET", "HEAD"))
         if refused is not None:
-            await refuse(is_socket, PlainTextResponse(refused.words + "\n", refused.status), scope, receive, send)
+            await refuse(is_socket, refused, scope, receive, send)
             return
         cookie = door.token_of(scope["query_string"].decode("latin-1"))
         if cookie:
             await RedirectResponse("/", 303, {"set-cookie": cookie, **fixed(headers)})(scope, receive, send)
         elif cookie == "" or not door.is_let_in(headers):
-            words = "open the page by the address with ?token=... that was printed or is in your token file\n"
-            await refuse(is_socket, PlainTextResponse(words, 403), scope, receive, send)
+            await refuse(is_socket, WRONG_TOKEN if cookie == "" else NO_TOKEN, scope, receive, send)
         else:
             await app(scope, receive, with_headers(send, fixed(headers)))
 
     return guard
 
 
-async def refuse(is_socket: bool, response: Response, scope: Scope, receive: Receive, send: Send) -> None:
-    """Refuse a request; a WebSocket before it is accepted, which its client sees as status 403."""
+async def refuse(is_socket: bool, refusal: Refusal, scope: Scope, receive: Receive, send: Send) -> None:
+    """Refuse a request, in letters that a phone shows; a WebSocket before it is accepted, which is status 403 there."""
     if is_socket:
         await send({"type": "websocket.close", "code": 1008})
     else:
-        await response(scope, receive, send)
+        page = REFUSED.format(words=html.escape(refusal.words))
+        await HTMLResponse(page, refusal.status, {"content-security-policy": REPORTS_POLICY})(scope, receive, send)
 
 
 def fixed(headers: Headers) -> dict[str, str]:
@@ -104,10 +114,10 @@ def with_headers(send: Send, headers: dict[str, str]) -> Send:
 
 def application(door: Door, exchange: Exchange, flights: FlightShelf) -> App:
     """The page's routes behind its door."""
-    html, windows, reports = HTML.read_bytes(), Windows(exchange), Reports(flights, exchange)
+    body, windows, reports = HTML.read_bytes(), Windows(exchange), Reports(flights, exchange)
 
     def page(_request: Request) -> Response:
-        return Response(html, media_type="text/html; charset=utf-8")
+        return Response(body, media_type="text/html; charset=utf-8")
 
     def listing(_request: Request) -> Response:
         return JSONResponse([flight.as_json for flight in flights.listed()])
