@@ -79,8 +79,15 @@ def guarded(work: Callable[[], None], *, prog: str, failures: tuple[type[Excepti
     except BrokenPipeError:
         return 1  # the reader of our output closed it: nobody reads a message
     except (OSError, ValueError, *failures) as error:
-        return _complain(prog, error, 1)
+        return _complain(prog, plain(error) if isinstance(error, OSError) else error, 1)
     return 0
+
+
+def plain(error: OSError) -> str:
+    """The error without its number: what the system says of which file, or the sentence that it was raised with."""
+    if error.filename is None or not error.strerror:
+        return str(error)
+    return f"{str(error.filename)!r}: {error.strerror}"
 
 
 def parse(

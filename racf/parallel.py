@@ -51,7 +51,7 @@ def _on_dask(work: Callable[[JobT], AnswerT], jobs: Sequence[JobT], address: str
     try:
         distributed: Any = importlib.import_module("distributed")  # an extra
     except ImportError:
-        raise ValueError("Dask needs the extra: pip install 'follow-me[dask]'") from None
+        raise ValueError("Dask needs the extra: pip install '.[dask]' in the clone") from None
     with distributed.Client(address) as client:
         waiting = {client.submit(work, job, pure=False): job for job in jobs}
         try:

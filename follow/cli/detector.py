@@ -6,14 +6,16 @@ from pathlib import Path
 from follow.control.detecting import DelayedDetector, DetectorProcess
 from follow.control.detector import Detector
 from follow.control.selector import Snap
-from racf.commandline import UsageError
+from racf.commandline import UsageError, plain
 
 
 def check_detector(path: Path | None) -> Detector | None:
     """The detector of a file, None without one.  Raises UsageError for a file that cannot be used."""
     try:
         return None if path is None else Detector(path)
-    except (OSError, ValueError) as error:
+    except OSError as error:
+        raise UsageError(f"--detector {plain(error)}") from None
+    except ValueError as error:
         raise UsageError(f"--detector: {error}") from None
 
 

@@ -38,7 +38,7 @@ def page_options(page: str | None, token_file: Path | None) -> PageOptions | Non
         return None
     address = parse_page_address(page)
     if missing := [name for name in NEEDS if find_spec(name) is None]:
-        raise UsageError(f"--page needs {', '.join(missing)}: pip install 'follow-me[page]'")
+        raise UsageError(f"--page needs {', '.join(missing)}: pip install '.[page]' in the clone")
     token = "" if token_file is None else read_token(token_file)
     return PageOptions(address, token or ("" if address.is_local else new_token()))
 

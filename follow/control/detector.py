@@ -119,7 +119,7 @@ def started(model: bytes, blank: Floats) -> tuple[Run, Floats]:
     except ValueError as error:
         if not has_onnx_runtime():
             raise ValueError(
-                f"OpenCV cannot run it ({str(error)[:200]}); install ONNX Runtime: pip install 'follow-me[detector]'"
+                f"OpenCV cannot run it ({str(error)[:200]}); ONNX Runtime may: pip install '.[detector]' in the clone"
             ) from None
     run = with_onnx_runtime(model)
     return run, run(blank)

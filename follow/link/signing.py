@@ -74,7 +74,9 @@ class Signing:
 
 
 def read_key(path: Path) -> bytes:
-    """The 32 bytes in `path`.  Raises ValueError if others may read the file or it holds no key."""
+    """The 32 bytes in `path`.  Raises ValueError if others may read the file or it holds no key, FileNotFoundError."""
+    if not path.exists():
+        raise FileNotFoundError(f"there is no signing key {path}: head -c 32 /dev/urandom > {path}; chmod 600 {path}")
     mode = stat.S_IMODE(path.stat().st_mode)
     if mode & 0o077:
         raise ValueError(

@@ -42,7 +42,10 @@ class Peer:
     def __init__(self, name: str, *, refine: bool = False, files: Mapping[str, str] | None = None) -> None:
         make = _opencv_maker(name)
         if make is None:
-            raise ValueError(f"OpenCV {cv2.__version__} here has no {name} tracker; `make bench` builds one that has")
+            raise ValueError(
+                f"OpenCV {cv2.__version__} here has no {name} tracker: in a clone `make bench` builds .venv-bench, "
+                "which has; elsewhere opencv-contrib-python-headless in the place of opencv-python-headless"
+            )
         try:
             tracker = make(_opencv_parameters(name, files)) if files else make()
         except cv2.error as error:

@@ -2,6 +2,7 @@
 
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from types import SimpleNamespace
 
 import cv2
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from follow.cli.commands import RunCommand
+from follow.cli.detector import check_detector
 from follow.cli.run import check
 from follow.control import detector
 from follow.control.detector import CONSIDERED, MOST, STRIDES, WINDOW, Detector, input_size, squares
@@ -91,6 +93,11 @@ def test_an_output_that_changes_its_shape_is_refused_in_one_line(family, shape, 
         with pytest.raises(ValueError, match=r"shape") as refused:
             look()
         assert "\n" not in str(refused.value)
+
+
+def test_a_network_that_is_not_there_is_named():
+    with pytest.raises(UsageError, match=r"^--detector 'none\.onnx': No such file or directory$"):
+        check_detector(Path("none.onnx"))
 
 
 @FAMILIES
@@ -207,7 +214,7 @@ def test_a_network_that_opencv_cannot_run_is_refused_with_what_can(tmp_path, mon
     path = tmp_path / "network.onnx"
     path.write_bytes(UNKNOWN)
     monkeypatch.setattr(detector, "has_onnx_runtime", lambda: False)
-    with pytest.raises(ValueError, match=r"OpenCV cannot run it.*pip install 'follow-me\[detector\]'") as refused:
+    with pytest.raises(ValueError, match=r"OpenCV cannot run it.*pip install '\.\[detector\]'") as refused:
         Detector(path)
     assert "\n" not in str(refused.value)
 

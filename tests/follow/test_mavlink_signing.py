@@ -73,6 +73,12 @@ def test_a_key_that_others_may_read_is_refused(tmp_path, mode):
         read_key(key_file(tmp_path, mode=mode))
 
 
+def test_a_key_that_is_not_there_says_how_to_make_one(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"there is no signing key .*urandom > .*chmod 600") as error:
+        read_key(tmp_path / "none.key")
+    assert "Errno" not in str(error.value)
+
+
 def test_a_key_is_32_bytes_or_64_hexadecimal_digits(tmp_path):
     assert read_key(key_file(tmp_path)) == KEY
     assert read_key(key_file(tmp_path, KEY.hex().encode() + b"\n")) == KEY

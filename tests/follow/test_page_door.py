@@ -174,6 +174,8 @@ def test_a_token_is_long_plain_and_its_owners_only(tmp_path):
     path.chmod(0o644)
     with pytest.raises(ValueError, match="chmod 600"):
         read_token(path)
+    with pytest.raises(FileNotFoundError, match=r"there is no page's token .*token_urlsafe\(18\).*chmod 600"):
+        read_token(tmp_path / "none")
 
 
 # Recordings

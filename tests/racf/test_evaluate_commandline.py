@@ -82,6 +82,13 @@ def test_a_failure_is_one_line_with_its_status(error, status, capsys):
     assert capsys.readouterr().err.count("\n") == 1
 
 
+def test_a_file_that_is_not_there_is_named_without_the_systems_number(capsys):
+    fly(["land"], FileNotFoundError(2, "No such file or directory", "map.txt"))
+    assert capsys.readouterr().err == "drone: error: 'map.txt': No such file or directory\n"
+    fly(["land"], OSError("there is no map: draw one"))
+    assert capsys.readouterr().err == "drone: error: there is no map: draw one\n"
+
+
 def test_a_bug_keeps_its_traceback():
     with pytest.raises(ZeroDivisionError):
         fly(["land"], ZeroDivisionError())

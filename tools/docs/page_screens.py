@@ -145,7 +145,7 @@ def end_the_page(desk: Any, phone: Any, flight: subprocess.Popen[str], shots: Pa
     """Follow, and let the page's thread die in the program: the flight must not notice."""
     phone.click("#hand-over")
     drag(desk)
-    until("the desktop selects again", lambda: not desk.is_disabled("#follow"))
+    until("the desktop selects again", lambda: desk.inner_text("#reply") == "target selected")
     desk.click("#follow")
     until("it follows", lambda: state(desk) == "FOLLOWING")
     time.sleep(2.0)

@@ -27,6 +27,8 @@ from follow.link.transports import LAST_PORT, Reach, reach_of
 LEAST_TOKEN = 16  # letters: what `secrets.token_urlsafe(12)` has, 96 bits
 COOKIE_S = 30 * 24 * 3600  # a season's phone need not scan the address before each flight
 
+MAKES_TOKEN = "python3 -c 'import secrets; print(secrets.token_urlsafe(18))'"
+
 INTERFACES = Path("/sys/class/net")
 SIOCGIFADDR = 0x8915  # netdevice(7): the address of an interface
 
@@ -95,14 +97,15 @@ def parse_page_address(text: str) -> PageAddress:
 
 def read_token(path: Path) -> str:
     """The token in a file.  Raises ValueError if others may read it or it is too short, OSError."""
+    if not path.exists():
+        raise FileNotFoundError(f"there is no page's token {path}: {MAKES_TOKEN} > {path}; chmod 600 {path}")
     mode = stat.S_IMODE(path.stat().st_mode)
     if mode & 0o077:
         raise ValueError(f"the page's token {path} must be readable by its owner only, not {mode:03o}: chmod 600 it")
     token = path.read_text(encoding="utf-8", errors="replace").strip()
     if len(token) < LEAST_TOKEN or not re.fullmatch(r"[A-Za-z0-9_-]+", token):
         raise ValueError(
-            f"the page's token {path} must be at least {LEAST_TOKEN} letters, digits, - or _: "
-            f"python3 -c 'import secrets; print(secrets.token_urlsafe(18))' makes one"
+            f"the page's token {path} must be at least {LEAST_TOKEN} letters, digits, - or _: {MAKES_TOKEN} makes one"
         )
     return token
 
