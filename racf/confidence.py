@@ -37,8 +37,9 @@ class Confidence:
         peak = max(value / self._value, 0.0) if self._value > 0 else 1.0
         return min(math.sqrt(max(psr / usual_psr, 0.0) * peak), 1.0)
 
-    def judge(self, psr: float, value: float) -> Verdict:
-        """The verdict on a frame.  A lost target is found again by a response of at least `regain_above`.
+    def judge(self, psr: float, value: float, near: bool = True) -> Verdict:
+        """The verdict on a frame.  A lost target is found again by a response of at least `regain_above`
+        that is near the place where it is expected.
 
         Clear frames make the running means.  Others count too, though slowly: a target that stays changed becomes
         normal in the end.  The first `settle_frames` are clear unless their PSR is below `least_psr`: the very first
@@ -50,7 +51,7 @@ class Confidence:
         sharp = psr >= params.least_psr
         settling = sharp and self._frames <= params.settle_frames
         if self.lost_frames:
-            self.lost_frames = 0 if sharp and ratio >= params.regain_above else self.lost_frames + 1
+            self.lost_frames = 0 if near and sharp and ratio >= params.regain_above else self.lost_frames + 1
         elif not sharp or (ratio < params.lost_below and not settling):
             self.lost_frames = 1
         clear = settling or (ratio >= params.learn_above and not self.lost_frames)

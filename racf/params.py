@@ -17,7 +17,7 @@ _FRACTIONS = (
 )  # fmt: skip
 ROBUST = ("gate_learning", "strict_refine", "predict_motion", "coast", "redetect")
 """The switches that the word `robust` stands for."""
-_WEIGHTS = ("residue", "spatial", "bowl", "temporal", "ridge", "aberrance")
+_WEIGHTS = ("residue", "spatial", "bowl", "temporal", "ridge", "aberrance", "redetect_near")
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +93,9 @@ class Params:
     redetect_glance: float = (
         0.35  # redetect: an off-centre candidate, dimmed by the window, is looked at again from here
     )
-    redetect_places: int = 4  # redetect: places searched in each frame, half a search region apart
+    redetect_near: float = 1.0  # redetect: target's sides from the expected place within which a match is the target
+    redetect_agree: int = 10  # redetect: frames for which matches further away are compared before one is taken
+    redetect_places: int = 4  # redetect: places searched in each frame, a target's side or half a search region apart
     redetect_reach: int = 3  # redetect: most steps to each side
     redetect_patience: int = 10  # redetect: frames lost for each further step
 
@@ -109,9 +111,9 @@ class Params:
                 raise ValueError(f"{name} is at least 0, not {getattr(self, name)}")
         at_least = {
             "cell_px": 1, "admm_iterations": 1, "newton_iterations": 0, "scales": 3, "refine_size_px": 16,
-            "refine_iterations": 1, "redetect_places": 0, "redetect_reach": 1, "redetect_patience": 1,
-            "search_area": 1.0, "sample_min_px": 4 * self.cell_px, "sample_max_px": self.sample_min_px,
-            "scale_model_area_px": 4 * self.cell_px**2,
+            "refine_iterations": 1, "redetect_agree": 1, "redetect_places": 0, "redetect_reach": 1,
+            "redetect_patience": 1, "search_area": 1.0, "sample_min_px": 4 * self.cell_px,
+            "sample_max_px": self.sample_min_px, "scale_model_area_px": 4 * self.cell_px**2,
         }  # fmt: skip
         for name, least in at_least.items():
             if getattr(self, name) < least:

@@ -1,6 +1,9 @@
-"""Search for a lost target further afield, a few places in each frame, with a second look at each candidate."""
+"""Search for a lost target: near where it is expected first, then further afield, where those that match compete."""
 
 import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,50 +15,114 @@ from racf.translation import Match, TranslationFilter
 
 UInt8 = NDArray[np.uint8]
 
+RIVALS = 5  # matches far from the expected place that are compared at a time, the best ones
+LEAST_FRAMES = 3  # in which a rival must have matched before it can be the target
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rival:
+    """A match far from the expected place, in how many frames in a row it was one, and their sharpness in sum."""
+
+    match: Match
+    frames: int
+    total: float
+
+    def mean(self) -> float:
+        """Its mean sharpness: the geometric mean of PSR and peak."""
+        return self.total / self.frames
+
 
 class Redetection:
-    """Places around the expected one, further away the longer the target is lost; each frame looks at the next few."""
+    """Where to look for a lost target, and which of those that match it is.
+
+    Places to look at: the expected one, the eight a target's side from it, and further ones the longer the target is
+    lost; each frame looks at the next few.  A match near the expected place is the target at once.  One further away
+    may be another that looks like it, while the target itself is still hidden: it is followed for `redetect_agree`
+    frames beside the others that turn up, and the one that matches best in the mean is the target.  When the target
+    has been lost for so long that all places are within its reach, the expected place says little: three frames do.
+    """
 
     def __init__(self, params: Params) -> None:
         self.params = params
-        reach = params.redetect_reach
-        steps = [(i, j) for i in range(-reach, reach + 1) for j in range(-reach, reach + 1) if (i, j) != (0, 0)]
-        self._places = sorted(steps, key=lambda step: math.hypot(*step))
+        reach, side = params.redetect_reach, 2 / params.search_area  # in half search regions
+        further = [(i * 1.0, j * 1.0) for i in range(-reach, reach + 1) for j in range(-reach, reach + 1)]
+        beside = [(i * side, j * side) for i in (-1, 0, 1) for j in (-1, 0, 1)]
+        self._further, self._places = (
+            sorted((place for place in places if place != (0, 0)), key=lambda place: math.hypot(*place))
+            for places in (further, beside + further)
+        )
+        self._least_reach = math.hypot(side, side)
         self._next = 0
+        self._rivals: list[Rival] = []
 
     def search(
         self, image: UInt8, expected: Box, here: Match, translation: TranslationFilter, confidence: Confidence
     ) -> tuple[Match, Verdict]:
-        """The first trusted match among this frame's places, or `here` if no place has one."""
+        """The match that is the target, or `here`, the match at the expected place, if there is none yet."""
         if confidence.lost_frames <= 1:
-            self._next = 0
+            self._next, self._rivals = 0, []
+        known, self._rivals = self._rivals, []
+        for match, before in self._matches(image, expected, here, known, translation, confidence):
+            if self.near(match.box, expected):
+                confidence.lost_frames = 0
+                return match, Verdict.CLEAR
+            if not any(self.near(match.box, other.match.box) for other in self._rivals):
+                frames, total = (before.frames, before.total) if before is not None else (0, 0.0)
+                sharpness = math.sqrt(match.psr * match.value)  # unlike the confidence, without an upper end
+                self._rivals.append(Rival(match, frames + 1, total + sharpness))
+        early = self._reach(confidence) < self.params.redetect_reach
+        agree = self.params.redetect_agree if early else min(LEAST_FRAMES, self.params.redetect_agree)
+        if not any(rival.frames >= agree for rival in self._rivals):
+            self._rivals = sorted(self._rivals, key=Rival.mean, reverse=True)[:RIVALS]
+            return here, Verdict.LOST
+        confidence.lost_frames = 0
+        heard = (rival for rival in self._rivals if rival.frames >= min(LEAST_FRAMES, agree))
+        return max(heard, key=Rival.mean).match, Verdict.CLEAR
+
+    def near(self, box: Box, expected: Box) -> bool:
+        """Whether a match is so near the expected place that it needs no comparison."""
+        apart = math.hypot(box.centre_x - expected.centre_x, box.centre_y - expected.centre_y)
+        return apart <= self.params.redetect_near * math.sqrt(expected.area)
+
+    def _matches(
+        self, image: UInt8, expected: Box, here: Match, known: list[Rival],
+        translation: TranslationFilter, confidence: Confidence,
+    ) -> Iterator[tuple[Match, Rival | None]]:  # fmt: skip
+        """The trusted matches of this frame, each with the rival that it continues."""
+        for rival in known:
+            match = translation.locate(image, rival.match.box)
+            # It is given up as a target that was found is lost.
+            if self._trusted(match, confidence, self.params.lost_below) and self.near(match.box, rival.match.box):
+                yield match, rival
+        places = self._turn(image, expected, confidence)
+        for first in chain([here], (translation.locate(image, place) for place in places)):
+            # A second look, centred: the cosine window no longer dims the match, its surroundings are whole.
+            if confidence.ratio(first.psr, first.value) >= self.params.redetect_glance:
+                match = translation.locate(image, first.box)
+                if self._trusted(match, confidence, self.params.regain_above):
+                    yield match, None
+
+    def _reach(self, confidence: Confidence) -> float:
+        """How far the target may have come since it was lost, in half search regions."""
+        return max(confidence.lost_frames / self.params.redetect_patience, self._least_reach)
+
+    def _trusted(self, match: Match, confidence: Confidence, least: float) -> bool:
+        return match.psr >= self.params.least_psr and confidence.ratio(match.psr, match.value) >= least
+
+    def _turn(self, image: UInt8, expected: Box, confidence: Confidence) -> Iterator[Box]:
+        """The places whose turn it is.
+
+        A target just lost is near, most likely behind something; when all places are within its reach, the near ones
+        have had their turns.
+        """
         rows, cols = image.shape[:2]
-        step = translation.region(expected).w / 2
-        if (again := self.closer(image, here, translation, confidence)) is not None:
-            return again, Verdict.CLEAR
-        # A target just lost is near, most likely behind something: a match far away this early is another object.
-        reach = confidence.lost_frames / self.params.redetect_patience
-        reached = [step for step in self._places if math.hypot(*step) <= reach]
+        step = math.sqrt(expected.area) * self.params.search_area / 2
+        reach = self._reach(confidence)
+        places = self._places if reach < self.params.redetect_reach else self._further
+        reached = [place for place in places if math.hypot(*place) <= reach]
         for _ in range(min(self.params.redetect_places, len(reached))):
             i, j = reached[self._next % len(reached)]
             self._next += 1
             place = expected.moved(i * step, j * step)
-            if not (0 <= place.centre_x < cols and 0 <= place.centre_y < rows):
-                continue
-            first = translation.locate(image, place)
-            if (again := self.closer(image, first, translation, confidence)) is not None:
-                return again, Verdict.CLEAR
-        return here, Verdict.LOST
-
-    def closer(
-        self, image: UInt8, first: Match, translation: TranslationFilter, confidence: Confidence
-    ) -> Match | None:
-        """A second look, centred: the cosine window no longer dims the candidate, its surroundings are whole."""
-        if confidence.ratio(first.psr, first.value) < self.params.redetect_glance:
-            return None
-        again = translation.locate(image, first.box)
-        sharp = again.psr >= self.params.least_psr
-        if not sharp or confidence.ratio(again.psr, again.value) < self.params.regain_above:
-            return None
-        confidence.lost_frames = 0
-        return again
+            if 0 <= place.centre_x < cols and 0 <= place.centre_y < rows:
+                yield place

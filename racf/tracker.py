@@ -77,7 +77,8 @@ class Racf:
         clock.lap("predict")
         match = self._filter.locate(image, expected)
         clock.lap("localise")
-        verdict = self._confidence.judge(match.psr, match.value)
+        near = not params.redetect or self._redetection.near(match.box, expected)
+        verdict = self._confidence.judge(match.psr, match.value, near)
         if params.redetect and verdict is Verdict.LOST:
             match, verdict = self._redetection.search(image, expected, match, self._filter, self._confidence)
             clock.lap("redetect")

@@ -69,6 +69,7 @@ OTHER: dict[str, tuple[Any, dict[str, Any]]] = {
     "usual_psr_max": (60.0, {}), "usual_psr_min": (50.0, {"usual_psr_max": 60.0}), "least_psr": (30.0, {}),
     "settle_frames": (30, {}), "strict_iou": (0.95, {}),
     "velocity_rate": (0.1, {}), "velocity_decay": (0.5, {}), "redetect_glance": (0.9, {}),
+    "redetect_near": (9.0, {"redetect_patience": 1}), "redetect_agree": (1, {"redetect_patience": 1}),
     "redetect_places": (0, {"redetect_patience": 1}),
     "redetect_reach": (1, {"redetect_patience": 1, "search_area": 3.0}), "redetect_patience": (1, {}),
 }  # fmt: skip

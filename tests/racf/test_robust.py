@@ -110,10 +110,38 @@ def test_a_target_that_reappears_elsewhere_is_found_again():
     for _ in range(10):
         track = tracker.update(GROUND)
         assert not track.found
-    for _ in range(14):
+    for _ in range(14 + ROBUST.redetect_agree):
         track = tracker.update(image(200, 60))
     assert track.found
     assert track.box.iou(box(200, 60)) > 0.7
+
+
+def test_a_target_that_reappears_where_it_is_expected_is_found_at_once():
+    tracker = settled()
+    for _ in range(10):
+        last = tracker.update(GROUND)
+    x, y = round(last.box.x), round(last.box.y)
+    assert tracker.update(image(x + SIDE // 2, y + SIDE // 4)).found
+
+
+def test_a_look_alike_that_shows_up_first_is_not_taken_if_the_target_comes_while_it_is_compared():
+    noise = np.random.default_rng(4).integers(0, 256, TARGET.shape, dtype=np.uint8)
+    other = cv2.addWeighted(TARGET, 0.75, cv2.resize(noise[::7, ::7], (SIDE, SIDE), interpolation=0), 0.25, 0)
+    alone, both = GROUND.copy(), image(150, 160)
+    for scene in (alone, both):
+        scene[30 : 30 + SIDE, 150 : 150 + SIDE] = other
+    trackers = [settled(), settled()]
+    for tracker in trackers:
+        for _ in range(10):
+            assert not tracker.update(GROUND).found
+        while not tracker._redetection._rivals:
+            tracker.update(alone)
+    for _ in range(ROBUST.redetect_agree - 1):
+        left, right = (tracker.update(scene) for tracker, scene in zip(trackers, (alone, both), strict=True))
+    assert left.found
+    assert left.box.iou(box(150, 30)) > 0.7  # nothing better came
+    assert right.found
+    assert right.box.iou(box(150, 160)) > 0.7
 
 
 def test_a_target_just_lost_is_not_taken_to_be_far_away_at_once():
