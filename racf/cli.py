@@ -72,7 +72,7 @@ class EvalCommand:
     """ADMM iterations in tables 3 and 4."""
     etas: str = ",".join(map(str, studies.ETAS))
     """Weights of the residue in table 4."""
-    images: Annotated[int, tyro.conf.arg(aliases=("--pictures",))] = 0
+    images: int = 0
     """With --out: draw all boxes on frames of this many sequences, those that tell the trackers apart most."""
     json: bool = False
     """Print the figures as JSON on standard output, and nothing else there."""

@@ -24,7 +24,7 @@ import cv2
 from tests.support.page_killer import flown_last
 
 DOCS = Path(__file__).parents[2] / "docs"
-PHONE = {"viewport": {"width": 360, "height": 740}, "device_scale_factor": 2.0, "has_touch": True, "is_mobile": True}
+PHONE = {"viewport": {"width": 360, "height": 640}, "device_scale_factor": 2.0, "has_touch": True, "is_mobile": True}
 WITHOUT_S = 6.0  # flown on without the page
 DESKTOP = {"viewport": {"width": 1280, "height": 800}}
 
@@ -85,6 +85,16 @@ def is_on_walker(page: Any) -> bool:
     return bool(box[0] < x < box[0] + box[2] and box[1] < y < box[1] + box[3])
 
 
+def top(page: Any, name: str) -> float:
+    """The element's upper edge in the window's pixels."""
+    return float(page.locator(name).bounding_box()["y"])
+
+
+def bottom(page: Any, name: str) -> float:
+    """The element's lower edge in the window's pixels."""
+    return top(page, name) + float(page.locator(name).bounding_box()["height"])
+
+
 def drag(page: Any) -> None:
     """Draw a box around the walker with the mouse."""
     left, top, right, bottom = walkers_box(page)
@@ -123,6 +133,7 @@ def fly(desk: Any, phone: Any, shots: Path) -> None:
     phone.tap("#follow")
     until("an old box must be confirmed", lambda: phone.is_visible("#confirm"))
     time.sleep(0.3)
+    until("CONFIRM is in sight above STOP", lambda: bottom(phone, "#confirm") <= top(phone, "#stopbar"), 1.0)
     phone.screenshot(path=shots / "phone_confirm.png")
     phone.tap("#confirm")
     until("CONFIRM flies", lambda: state(phone) == "FOLLOWING")
