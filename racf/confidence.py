@@ -9,6 +9,9 @@ from enum import Enum
 
 from racf.params import Params
 
+FEATURELESS = 0.5
+"""Highest confidence in a target without features."""
+
 
 class Verdict(Enum):
     """What a frame's response allows: learn from it; follow it, without learning; or neither."""
@@ -19,10 +22,13 @@ class Verdict(Enum):
 
 
 class Confidence:
-    """Running means of PSR and peak, and the verdicts that follow from them."""
+    """Running means of PSR and peak, and the verdicts that follow from them.
 
-    def __init__(self, params: Params) -> None:
-        self.params = params
+    What began `featureless` is never believed, however sharp its responses are: `racf.texture`.
+    """
+
+    def __init__(self, params: Params, *, featureless: bool = False) -> None:
+        self.params, self._most = params, FEATURELESS if featureless else 1.0
         self.lost_frames = 0
         self._frames = 0
         self._psr = self._value = 0.0
@@ -35,7 +41,7 @@ class Confidence:
         """
         usual_psr = min(max(self._psr, self.params.usual_psr_min), self.params.usual_psr_max)
         peak = max(value / self._value, 0.0) if self._value > 0 else 1.0
-        return min(math.sqrt(max(psr / usual_psr, 0.0) * peak), 1.0)
+        return self._most * min(math.sqrt(max(psr / usual_psr, 0.0) * peak), 1.0)
 
     def judge(self, psr: float, value: float, near: bool = True) -> Verdict:
         """The verdict on a frame.  A lost target is found again by a response of at least `regain_above`
@@ -48,7 +54,7 @@ class Confidence:
         """
         params, ratio = self.params, self.ratio(psr, value)
         self._frames += 1
-        sharp = psr >= params.least_psr
+        sharp = psr >= params.least_psr and self._most == 1.0
         settling = sharp and self._frames <= params.settle_frames
         if self.lost_frames:
             self.lost_frames = 0 if near and sharp and ratio >= params.regain_above else self.lost_frames + 1

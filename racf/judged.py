@@ -15,6 +15,7 @@ from racf.box import Box
 from racf.confidence import Confidence, Verdict
 from racf.params import Params
 from racf.redetect import Redetection
+from racf.texture import is_featureless
 from racf.track import Track
 from racf.translation import Match, TranslationFilter
 
@@ -44,7 +45,8 @@ class JudgedBoxes:
         """Start both on `box`; raises ValueError as the tracker does."""
         self.tracker.init(image, box)
         self._filter = TranslationFilter(self.params, box, colour=image.ndim == 3 and self.params.colour_names)
-        self._confidence, self._redetection = Confidence(self.params), Redetection(self.params)
+        self._confidence = Confidence(self.params, featureless=is_featureless(image, box))
+        self._redetection = Redetection(self.params)
         self._filter.learn(image, box)
         self._box = box
         return Track(box, self._filter.region(box), psr=0.0, apce=0.0, confidence=1.0)

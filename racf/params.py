@@ -20,6 +20,14 @@ ROBUST = ("gate_learning", "strict_refine", "predict_motion", "coast", "redetect
 _WEIGHTS = ("residue", "spatial", "bowl", "temporal", "ridge", "aberrance", "redetect_near")
 
 
+AT_MOST = {
+    "admm_iterations": 1000, "newton_iterations": 1000, "refine_iterations": 1000, "redetect_places": 1000,
+    "redetect_reach": 1000, "cell_px": 64, "scales": 333, "scale_step": 2.0, "search_area": 1000.0,
+    "sample_max_px": 4000, "refine_size_px": 4000, "scale_model_area_px": 1_000_000,
+}  # fmt: skip
+"""Far beyond what any tracker uses: more would take the memory, or a frame without end."""
+
+
 @dataclass(frozen=True, slots=True)
 class Params:
     """All numbers and switches of a tracker.  Lengths are pixels of the fixed-size sample unless a unit says otherwise.
@@ -109,6 +117,20 @@ class Params:
         for name in _WEIGHTS:
             if getattr(self, name) < 0:
                 raise ValueError(f"{name} is at least 0, not {getattr(self, name)}")
+        self._require_bounds()
+        if not 0 < self.usual_psr_min <= self.usual_psr_max:
+            raise ValueError(f"usual_psr_min is positive and at most usual_psr_max, not {self.usual_psr_min}")
+        for name in ("label_sigma", "penalty", "penalty_growth", "penalty_max", "scale_sigma", "scale_ridge"):
+            if getattr(self, name) <= 0:
+                raise ValueError(f"{name} is positive, not {getattr(self, name)}")
+        if self.scale_step <= 1:
+            raise ValueError(f"scale_step is above 1, not {self.scale_step}")
+
+    def _require_bounds(self) -> None:
+        """Raise ValueError for a setting below its least value or above AT_MOST."""
+        for name, most in AT_MOST.items():
+            if getattr(self, name) > most:
+                raise ValueError(f"{name} is at most {most}, not {getattr(self, name)}")
         at_least = {
             "cell_px": 1, "admm_iterations": 1, "newton_iterations": 0, "scales": 3, "refine_size_px": 16,
             "refine_iterations": 1, "redetect_agree": 1, "redetect_places": 0, "redetect_reach": 1,
@@ -118,13 +140,6 @@ class Params:
         for name, least in at_least.items():
             if getattr(self, name) < least:
                 raise ValueError(f"{name} is at least {least}, not {getattr(self, name)}")
-        if not 0 < self.usual_psr_min <= self.usual_psr_max:
-            raise ValueError(f"usual_psr_min is positive and at most usual_psr_max, not {self.usual_psr_min}")
-        for name in ("label_sigma", "penalty", "penalty_growth", "penalty_max", "scale_sigma", "scale_ridge"):
-            if getattr(self, name) <= 0:
-                raise ValueError(f"{name} is positive, not {getattr(self, name)}")
-        if self.scale_step <= 1:
-            raise ValueError(f"scale_step is above 1, not {self.scale_step}")
 
     def robust(self, on: bool = True) -> Self:
         """A copy with the five switches of `ROBUST`, which a follower needs, all on (or all off)."""

@@ -13,6 +13,7 @@ from racf.params import Params, preset
 from racf.redetect import Redetection
 from racf.refine import Refinement, Refiner
 from racf.scale import ScaleFilter
+from racf.texture import is_featureless
 from racf.track import Track
 from racf.translation import Match, TranslationFilter
 
@@ -43,7 +44,10 @@ class Racf:
         self._frame_shape: tuple[int, ...] | None = None
 
     def init(self, image: UInt8, box: Box) -> Track:
-        """Start on the target in `box`; raises ValueError for an invalid image or a box outside it."""
+        """Start on the target in `box`; raises ValueError for an invalid image or a box outside it.
+
+        A target without edges in both directions is never found: see `racf.texture`.
+        """
         image = _checked(image)
         _check_box(box, "target")
         rows, cols = image.shape[:2]
@@ -57,7 +61,7 @@ class Racf:
         self._filter = TranslationFilter(params, box, colour=image.ndim == 3 and params.colour_names)
         self._scale = ScaleFilter(params, box.w, box.h)
         self._refiner = Refiner(params)
-        self._confidence = Confidence(params)
+        self._confidence = Confidence(params, featureless=is_featureless(image, box))
         self._velocity = Velocity(params.velocity_rate, params.velocity_decay)
         self._redetection = Redetection(params)
         self._filter.learn(image, box)

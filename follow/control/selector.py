@@ -18,6 +18,7 @@ from follow.control.click import box_at
 from follow.messages import Frame
 from follow.selection import Choice, Cleared, Selection
 from racf.box import Box
+from racf.texture import is_featureless
 from racf.track import Track
 
 Image = NDArray[np.uint8]
@@ -195,7 +196,7 @@ def meant(selection: Selection, image: Image, snap: Snap = lambda _image, _x, _y
     box = Box(left, top, *sides)
     if is_outside(box, rows, columns):
         return "box outside the image: draw it again"
-    if contrast(image, box.scaled(1.5)) < MIN_CONTRAST:
+    if contrast(image, box.scaled(1.5)) < MIN_CONTRAST or is_featureless(image, box):
         return "nothing to hold on to: choose a target with edges"
     return box
 

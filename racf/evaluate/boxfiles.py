@@ -13,6 +13,7 @@ import numpy as np
 
 from racf.evaluate.metrics import Boxes
 
+FARTHEST_PX = 1e6  # infinity and broken exponents are beyond it, whatever a tracker says is not
 _APART = re.compile(r"[,;\s]+")
 # What scipy raises on a broken MATLAB file, depending on the wrong byte; it cannot read version 7.3.
 _BROKEN = (
@@ -42,7 +43,11 @@ def write_boxes(path: Path, boxes: Boxes) -> None:
 def read_numbers(path: Path) -> list[list[float]]:
     """The numbers of each line that has any; raises ValueError naming file and line."""
     rows: list[list[float]] = []
-    for number, line in enumerate(path.read_text(encoding="utf-8-sig").splitlines(), start=1):
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path} is not text in UTF-8 (byte {error.start + 1}): write it as plain text") from None
+    for number, line in enumerate(lines, start=1):
         words = [word for word in _APART.split(line.strip()) if word]
         try:
             row = [float(word) for word in words]
@@ -60,6 +65,9 @@ def _read_text(path: Path) -> Boxes:
     for number, row in enumerate(rows, start=1):
         if len(row) != 4:
             raise ValueError(f"{path}, row {number}: a box has four numbers x, y, w, h, not {len(row)}")
+        if any(abs(value) > FARTHEST_PX for value in row):
+            most = max(row, key=abs)
+            raise ValueError(f"{path}, row {number}: a box lies within {FARTHEST_PX:g} pixels, {most:g} does not")
     return np.asarray(rows, dtype=np.float64)
 
 

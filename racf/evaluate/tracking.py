@@ -17,6 +17,7 @@ from racf.evaluate.boxfiles import read_boxes, write_boxes
 from racf.evaluate.images import rows_of
 from racf.evaluate.metrics import Boxes, Convention, Score, score
 from racf.evaluate.runner import TrackerBuilder, naming
+from racf.texture import is_featureless
 from racf.track import Track
 from racf.video import Video
 from racf.video_writer import SUFFIXES, VideoWriter
@@ -143,9 +144,12 @@ def track(
 
 def _start(target: Box, image: NDArray[np.uint8]) -> str:
     try:
-        return target.as_start(image.shape[1], image.shape[0])
+        line = target.as_start(image.shape[1], image.shape[0])
     except ValueError as error:
         raise UsageError(str(error)) from None
+    if is_featureless(image, target):
+        return f"target {target} has no edges in one direction or in both: nothing that is found there can be believed"
+    return line
 
 
 def drawn(image: NDArray[np.uint8], track: Track, truth: NDArray[np.float64] | None) -> NDArray[np.uint8]:

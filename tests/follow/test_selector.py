@@ -22,7 +22,7 @@ SIDE = 24
 def image_with(x, y, noise=None):
     """A textured meadow with a bright square whose corner is at (x, y)."""
     generator = np.random.default_rng(7)
-    image = generator.integers(60, 90, (SIZE[1], SIZE[0], 3)).astype(np.uint8)
+    image = generator.integers(60, 90, (SIZE[1] // 4, SIZE[0] // 4, 3)).astype(np.uint8).repeat(4, 0).repeat(4, 1)
     image[round(y) : round(y) + SIDE, round(x) : round(x) + SIDE] = (40, 60, 230)
     return image
 
@@ -161,6 +161,23 @@ class Later:
         self.begin()
         for future, work in self.begun:
             future.set_result(work())
+
+
+@pytest.mark.parametrize("is_grey", [True, False])
+@pytest.mark.parametrize("is_kerb", [True, False])
+def test_a_horizon_and_a_kerb_are_refused_because_nothing_says_where_along_them(is_kerb, is_grey):
+    image = np.clip(np.random.default_rng(0).normal(130, 2, (360, 360, 3)), 0, 255).astype(np.uint8)
+    image[180:] -= 70
+    image[165:195, 40:52] = 20  # somebody before it
+    image = np.ascontiguousarray(image.swapaxes(0, 1) if is_kerb else image)
+    image = image[:, :, 0] if is_grey else image
+
+    def drawn(along, across, length, width):
+        shares = (across, along, width, length) if is_kerb else (along, across, length, width)
+        return meant(Selection(*shares, 0.0, "a test"), image)
+
+    assert drawn(0.5, 0.45, 0.2, 0.1) == "nothing to hold on to: choose a target with edges"
+    assert isinstance(drawn(0.1, 0.45, 0.05, 0.1), Box)
 
 
 def test_of_taps_that_wait_only_the_newest_is_looked_at():

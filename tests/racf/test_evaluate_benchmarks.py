@@ -139,6 +139,14 @@ BROKEN = {
         lambda root: (root / "walk" / "groundtruth_rect.txt").write_text("1,2,3,4\nnone at all\n"),
         r"groundtruth_rect\.txt, line 2: not numbers: 'none at all'",
     ),
+    "a number is none of an image": (
+        lambda root: (root / "walk" / "groundtruth_rect.txt").write_text("1,2,3,4\n1,inf,3,4\n"),
+        r"groundtruth_rect\.txt, row 2: a box lies within 1e\+06 pixels, inf does not",
+    ),
+    "the annotation is in another encoding": (
+        lambda root: (root / "walk" / "groundtruth_rect.txt").write_bytes("1,2,3,4\n".encode("utf-16")),
+        r"groundtruth_rect\.txt is not text in UTF-8 \(byte 1\)",
+    ),
     "the annotation is empty": (
         lambda root: (root / "walk" / "groundtruth_rect.txt").write_text(""),
         r"groundtruth_rect\.txt: a file of boxes has a line for each frame; this one is empty",

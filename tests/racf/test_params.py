@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from racf import Box, Params, Racf, preset
-from racf.params import PRESETS, ROBUST
+from racf.params import AT_MOST, PRESETS, ROBUST
 
 ROWS, COLS, SIDE, FRAMES = 200, 320, 34, 64
 START = Box(40, 84, 30, 34)  # a little wrong, so that the refinement has something to correct
@@ -85,6 +85,14 @@ def test_every_setting_changes_what_the_tracker_gives_out(name):
     value, beside = OTHER[name]
     base = dataclasses.replace(ALL, **beside)
     assert outcome(dataclasses.replace(base, **{name: value})) != outcome(base)
+
+
+@pytest.mark.parametrize("name", AT_MOST)
+def test_a_setting_that_would_take_the_memory_or_never_end_is_refused(name):
+    most = AT_MOST[name]
+    assert getattr(Params(), name) < most / 2 or name == "scale_step"
+    with pytest.raises(ValueError, match=rf"{name} is at most {most}, not "):
+        Racf(f"racf,{name}={100 * most}")
 
 
 def test_robust_is_a_word_for_its_switches():

@@ -66,23 +66,60 @@ def test_a_first_response_sharper_than_all_that_follow_does_not_make_the_rest_lo
     assert confidence.judge(3.0, 0.2) is Verdict.LOST
 
 
+SKY = np.linspace(120, 220, 300)[:, None, None] + np.zeros((300, 400, 3))
+ROW, COLUMN = (np.arange(n, dtype=float).reshape(shape) for n, shape in ((300, (-1, 1, 1)), (400, (1, -1, 1))))
+FEATURELESS = {
+    "black": 0 * SKY,
+    "white": 0 * SKY + 255,
+    "sky": SKY,
+    "lit from one side": 100 + 0.1 * COLUMN + 0 * SKY,
+    "a vignette": 200 - 0.2 * np.hypot(ROW - 150, COLUMN - 200) + 0 * SKY,
+    "upright stripes": 128 + 60 * np.sign(np.sin(COLUMN * 2 * np.pi / 16)) + 0 * SKY,
+    "level stripes": 128 + 60 * np.sign(np.sin(ROW * 2 * np.pi / 16)) + 0 * SKY,
+    "a horizon": 128 + 50 * np.sign(ROW - 135) + 0 * SKY,
+    "a kerb": 128 + 50 * np.sign(COLUMN - 190) + 0 * SKY,
+}
+
+
+def without_features(kind: str, random: np.random.Generator) -> np.ndarray:
+    """A frame of noise, or of something that looks the same at another place, under a camera's noise."""
+    if kind == "noise":
+        return random.integers(0, 256, SKY.shape, dtype=np.uint8)
+    if kind == "a hot pixel":
+        image = (0 * SKY + 90).astype(np.uint8)
+        image[140, 200] = 255
+        return image
+    image = np.clip(FEATURELESS[kind.removesuffix(" as JPEG")] + random.normal(0, 2, SKY.shape), 0, 255)
+    image = image.astype(np.uint8)
+    return cv2.imdecode(cv2.imencode(".jpg", image, [1, 30])[1], 1) if kind.endswith("JPEG") else image
+
+
+@pytest.mark.parametrize("preset", ["racf", "racf,robust"])
 @pytest.mark.parametrize("side", [12, 40, 100])
-@pytest.mark.parametrize("kind", ["black", "white", "noise", "sky"])
-def test_a_first_box_without_features_is_not_called_found_within_five_frames(kind, side):
+@pytest.mark.parametrize("kind", ["noise", "a hot pixel", "sky as JPEG", *FEATURELESS])
+def test_a_first_box_without_features_is_not_called_found_within_five_frames(kind, side, preset):
     random = np.random.default_rng(3)
-    sky = np.linspace(120, 220, 300)[:, None, None] + np.zeros((300, 400, 3))
-
-    def image() -> np.ndarray:
-        if kind == "noise":
-            return random.integers(0, 256, sky.shape, dtype=np.uint8)
-        flat = {"black": 0 * sky, "white": 0 * sky + 255, "sky": sky + random.normal(0, 1, sky.shape)}[kind]
-        return np.clip(flat, 0, 255).astype(np.uint8)
-
-    tracker = Racf(ROBUST)
-    tracker.init(image(), Box(180, 120, side, side))
-    tracks = [tracker.update(image()) for _ in range(12)]
+    tracker = Racf(preset)
+    tracker.init(without_features(kind, random), Box(180, 120, side, side))
+    tracks = [tracker.update(without_features(kind, random)) for _ in range(12)]
     assert not any(track.found for track in tracks[4:])
     assert max(track.confidence for track in tracks[4:]) < ROBUST.regain_above
+
+
+@pytest.mark.parametrize("grey", [True, False])
+@pytest.mark.parametrize("side", [12, 24, 60])
+@pytest.mark.parametrize("darker", [12, 60])
+def test_something_darker_than_the_sky_is_called_found(darker, side, grey):
+    random = np.random.default_rng(3)
+    tracker = Racf("racf,robust")
+    for k in range(13):
+        image = SKY + random.normal(0, 1, SKY.shape)
+        image[120 : 120 + side, 180 + k : 180 + k + side] -= darker
+        image = np.clip(image, 0, 255).astype(np.uint8)
+        image = np.ascontiguousarray(image[:, :, 0]) if grey else image
+        track = tracker.update(image) if k else tracker.init(image, Box(180, 120, side, side))
+        assert track.found
+    assert track.box.iou(Box(192, 120, side, side)) > 0.5
 
 
 @pytest.mark.parametrize("belief", [0.0, 0.25, 1.0])

@@ -65,12 +65,13 @@ class AtOnce:
 
 
 class GroundTarget:
-    """The ground's side of a flight that is tracked and not flown, with a camera of noise."""
+    """The ground's side of a flight that is tracked and not flown, with a camera that sees coloured blocks."""
 
     def __init__(self) -> None:
         self.air, self.linked, self.lines = Air(), [], []
         self.t_s, self.chosen = 100.0, []
-        self.image = np.random.default_rng(1).integers(0, 256, (SIZE[1], SIZE[0], 3), np.uint8)
+        blocks = np.random.default_rng(1).integers(0, 256, (SIZE[1] // 8, SIZE[0] // 8, 3), np.uint8)
+        self.image = blocks.repeat(8, 0).repeat(8, 1)
         self.recent = SimpleNamespace(kept=())
         self.operator = Operator(self.lines.append)
         self.selector = Selector(self._init, self._track, self.recent, lambda: None, looks=AtOnce())
