@@ -5,8 +5,10 @@ would wait for the server.
 """
 
 import contextlib
+import re
 import select
 import socket
+import time
 from urllib.parse import urlsplit
 
 PORT = 554  # RTSP's own
@@ -79,20 +81,31 @@ class RtspPush:
 
 
 def answer_of(connection: socket.socket) -> tuple[int, dict[str, str]]:
-    """Status and header of one answer.  Raises OSError for what is no answer."""
-    text = b""
+    """Status and header of one answer, the whole within TIMEOUT_S.  Raises OSError for what is no answer."""
+    text, end_s = b"", time.monotonic() + TIMEOUT_S
     while not text.endswith(b"\r\n\r\n"):
-        byte = connection.recv(1)
+        byte = received(connection, 1, end_s)
         if not byte or len(text) > 8192:
             raise ConnectionResetError("the server gives no answer")
         text += byte
     first, *lines = text.decode(errors="replace").split("\r\n")
     words = first.split()
-    if len(words) < 2 or not words[0].startswith("RTSP/") or not words[1].isdecimal():
+    if len(words) < 2 or not words[0].startswith("RTSP/") or not re.fullmatch("[0-9]{3}", words[1]):
         raise ConnectionError(f"the server does not speak RTSP: {first[:40]!r}")
     head = {name.lower(): value.strip() for name, _, value in (line.partition(":") for line in lines) if value}
     length = head.get("content-length", "0")
-    left = int(length) if length.isdecimal() else 0
-    while left > 0 and (body := connection.recv(min(left, 65536))):
+    left = int(length) if re.fullmatch("[0-9]{1,9}", length) else 0
+    while left > 0 and (body := received(connection, min(left, 65536), end_s)):
         left -= len(body)
     return int(words[1]), head
+
+
+def received(connection: socket.socket, most: int, end_s: float) -> bytes:
+    """The next bytes, at most so many.  Raises TimeoutError if none come until `end_s` (of the monotonic clock)."""
+    left_s = end_s - time.monotonic()
+    if left_s <= 0.0:
+        raise TimeoutError("the server's answer has no end")
+    connection.settimeout(left_s)
+    data = connection.recv(most)
+    connection.settimeout(TIMEOUT_S)
+    return data
