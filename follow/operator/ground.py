@@ -6,7 +6,7 @@ sender's newest first.
 """
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Protocol, TypeVar
 
 from pymavlink.dialects.v20 import common as dialect
@@ -24,7 +24,8 @@ ArrivedT = TypeVar("ArrivedT")
 
 READ = 300  # a few microseconds each; 9000 a second
 HEEDED = 20  # each costs some 50 microseconds to decode and to answer
-STATIONS = 4  # ground stations that are answered directly at a time: the last that were heard
+OTHERS = 5  # of those HEEDED, for who was not heard before: a flood of a known station must not keep a new one's STOP
+STATIONS = 4  # ground stations that are answered directly at a time: the first, as long as they are heard
 HEARD_S = 10.0
 
 
@@ -74,18 +75,24 @@ class LoneVehicle:
         return out
 
 
-def heeded(arrived: list[tuple[Source, ArrivedT]]) -> list[tuple[Source, ArrivedT]]:
-    """What of all that has arrived is heeded, in its order: of each sender as many as of the others, the newest."""
+def heeded(arrived: list[tuple[Source, ArrivedT]], known: Collection[Source]) -> list[tuple[Source, ArrivedT]]:
+    """What of all that has arrived is heeded, in its order: of each sender as many as of the others, the newest.
+
+    `known` senders come before others: strangers by the hundred must not displace them.
+    """
     if len(arrived) <= HEEDED:
         return arrived
-    taken = dict.fromkeys((source for source, _ in arrived), 0)
-    share = max(HEEDED // len(taken), 1)
-    newest: list[tuple[Source, ArrivedT]] = []
-    for source, what in reversed(arrived):
-        taken[source] += 1
-        if taken[source] <= share and len(newest) < HEEDED:
-            newest.append((source, what))
-    return newest[::-1]
+    senders = {source for source, _ in arrived}
+    before, others = senders.intersection(known), senders.difference(known)
+    newest: list[int] = []
+    for group, most in ((before, HEEDED - OTHERS if others else HEEDED), (others, HEEDED)):
+        room = dict.fromkeys(group, max((most - len(newest)) // max(len(group), 1), 1))
+        for at in reversed(range(len(arrived))):
+            source = arrived[at][0]
+            if len(newest) < most and room.get(source, 0) > 0:
+                room[source] -= 1
+                newest.append(at)
+    return [arrived[at] for at in sorted(newest)]
 
 
 class DirectSide:
@@ -99,15 +106,13 @@ class DirectSide:
     def receive(self, t_s: float) -> list[Message]:
         """The messages that came since the last round."""
         heard: list[tuple[Source, Message]] = []
+        self._heard_t_s = {source: at for source, at in self._heard_t_s.items() if t_s - at < HEARD_S}
         for source, data in self._waiting():
             found = self._packets.read_datagram(data) if self._transport.datagrams else self._packets.read(data)
-            if found:
-                self._heard_t_s.pop(source, None)
+            if found and (source in self._heard_t_s or len(self._heard_t_s) < STATIONS):
                 self._heard_t_s[source] = t_s
             heard += [(source, message) for message in found]
-        recent = [(source, at) for source, at in self._heard_t_s.items() if t_s - at < HEARD_S]
-        self._heard_t_s = dict(recent[-STATIONS:])
-        return [message for _, message in heeded(heard)]  # a datagram may hold many
+        return [message for _, message in heeded(heard, self._heard_t_s)]  # a datagram may hold many
 
     def _waiting(self) -> list[tuple[Source, bytes]]:
         """What to read in this round, in the order of arrival: of each sender as many as of the others, the newest."""
@@ -117,7 +122,9 @@ class DirectSide:
             if not data:
                 break
             arrived.append((source, data))
-        return heeded(arrived) if self._transport.datagrams else arrived  # a stream has one sender and no gaps
+        return (
+            heeded(arrived, self._heard_t_s) if self._transport.datagrams else arrived
+        )  # a stream has one sender and no gaps
 
     @property
     def hosts(self) -> tuple[str, ...]:

@@ -101,7 +101,7 @@ def answer_of(connection: socket.socket) -> tuple[int, dict[str, str]]:
 
 
 def received(connection: socket.socket, most: int, end_s: float) -> bytes:
-    """The next bytes, at most so many.  Raises TimeoutError if none come until `end_s` (of the monotonic clock)."""
+    """The next bytes, at most `most`.  Raises TimeoutError if none come before `end_s` (of the monotonic clock)."""
     left_s = end_s - time.monotonic()
     if left_s <= 0.0:
         raise TimeoutError("the server's answer has no end")

@@ -5,7 +5,7 @@ from pymavlink.dialects.v20 import common as dialect
 
 from follow.messages import Order
 from follow.operator.ground import HEEDED
-from tests.follow.test_ground_forged import CAMERA, STATION, STOP, Flight, beat, command
+from tests.follow.test_ground_forged import CAMERA, DRAW, STATION, STOP, Flight, beat, command
 from tests.follow.test_link_identity import STRANGER, VEHICLE, speak
 from tools.fuzz.ground import GroundTarget
 
@@ -35,8 +35,12 @@ def test_a_stop_behind_a_flood_of_clicks_acts_in_its_round(clicker):
     assert len(acks(flight)) <= 2 * HEEDED, "an answer goes to each station"
 
 
-def test_a_stop_before_the_flood_of_another_acts_also():
+@pytest.mark.parametrize("is_known", [True, False])
+def test_a_stop_before_the_flood_of_another_acts_also(is_known):
     flight = Flight()
+    if is_known:
+        flight.line.arrived = [(click(0, (42, 190)), STRANGER)]
+        flight.round()
     flight.line.arrived.append((command(STOP), STATION))
     for n in range(200):
         flight.line.arrived.append((click(n, (42, 190)), STRANGER))
@@ -53,6 +57,29 @@ def test_a_stop_beside_datagrams_full_of_clicks_acts_and_few_of_those_are_heeded
     flight.round()
     assert any(order is Order.OBSERVE for order, _by in flight.orders)
     assert len(acks(flight)) <= 2 * HEEDED, "an answer goes to each station"
+
+
+@pytest.mark.parametrize("place", [0, 100, 200])
+@pytest.mark.parametrize("what", ["clicks", "garbage", "heartbeats of two hundred systems"])
+def test_a_stop_among_two_hundred_strangers_acts_and_its_station_stays_answered(what, place):
+    flight = Flight()
+    flight.line.arrived = [(command(DRAW), STATION)]
+    flight.round()
+    beats = dialect.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
+    for _ in range(30):  # 15 s
+        flight.line.arrived = [
+            ({"clicks": click(n), "garbage": bytes([n]) * 40}.get(what, beats.pack(dialect.MAVLink(None, n + 1, 190))),
+             (f"10.0.1.{n}", 14550))
+            for n in range(200)
+        ]  # fmt: skip
+        flight.line.arrived.insert(place, (beats.pack(dialect.MAVLink(None, 255, 190)), STATION))
+        flight.round()
+    assert STATION in flight.ground._direct._heard_t_s
+    flight.orders.clear()
+    flight.line.arrived = [(click(n), (f"10.0.1.{n}", 14550)) for n in range(200)]
+    flight.line.arrived.insert(place, (command(STOP), STATION))
+    flight.round()
+    assert any(order is Order.OBSERVE for order, _by in flight.orders)
 
 
 def test_a_stop_behind_a_flood_through_the_autopilot_acts():
