@@ -121,8 +121,11 @@ class Redetection:
         places = self._places if reach < self.params.redetect_reach else self._further
         reached = [place for place in places if math.hypot(*place) <= reach]
         for _ in range(min(self.params.redetect_places, len(reached))):
-            i, j = reached[self._next % len(reached)]
+            again, turn = divmod(self._next, len(reached))
+            i, j = reached[turn]
             self._next += 1
-            place = expected.moved(i * step, j * step)
+            # Every second time half a step aside: at the edge of what is looked at the window dims the target.
+            aside = 0.5 * (again % 2) if places is self._further else 0.0
+            place = expected.moved((i + aside) * step, (j + aside) * step)
             if 0 <= place.centre_x < cols and 0 <= place.centre_y < rows:
                 yield place
