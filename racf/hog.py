@@ -182,12 +182,15 @@ def _histograms(
 
 @compiled
 def _normalised(
-    histograms: Float32, energy: Float32, windows: Float32, out: Float32, shape: tuple[int, int, int]
+    histograms: Float32, energy: Float32, windows: Float32, out: Float32, shape: tuple[int, int, int],
+    orientations: np.uint32,
 ) -> None:  # fmt: skip
-    """Cells of histograms by the energy of their blocks, times the window; out (N, cols, rows, D), flat."""
+    """Cells of histograms by the energy of their blocks, times the window; out (N, cols, rows, D), flat.
+
+    Loops over nine that are known to be nine are unrolled instead of vectorised: hence the argument.
+    """
     (count, rows, cols), directions, channels = shape, np.uint32(2 * ORIENTATIONS), out.size // windows.size
     clip, half, gain = np.float32(CLIP), np.float32(0.5), np.float32(TEXTURE_GAIN)
-    orientations = np.uint32(ORIENTATIONS)
     for n in range(count):
         for r in range(1, rows + 1):
             for c in range(1, cols + 1):
@@ -235,4 +238,4 @@ def fhog(patches: UInt8, cell: int, bins: UInt8, work: Scratch, windows: Float32
     shape, flat = (len(patches), out.shape[2], out.shape[1]), histograms.reshape(-1)
     flat.fill(0)
     _histograms(patches.reshape(-1), patches.shape[1], cell, bins.reshape(-1), *work[:-2], flat, shape)
-    _normalised(flat, energy, windows.reshape(-1), out.reshape(-1), shape)
+    _normalised(flat, energy, windows.reshape(-1), out.reshape(-1), shape, np.uint32(ORIENTATIONS))
