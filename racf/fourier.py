@@ -59,6 +59,35 @@ class PrunedDft:
         return self._support.inverse(g_f, np.empty(shape, np.float32) if out is None else out)
 
 
+def move(spectrum: Float32, dy: float, dx: float, shape: tuple[int, int], scratch: Float32) -> None:
+    """Turn the folded spectrum of a grid of this (H, W) into that of what lies `dy` down and `dx` across, circularly.
+
+    X_k turns by exp(2 pi i k dy / H), so that P and Q turn into each other, and across real and imaginary parts.  The
+    frequency in the middle of an even axis has no side to turn to.
+    """
+    _, below, _, half, channels = spectrum.shape
+    flat, between, (down, across) = spectrum.reshape(-1), scratch.reshape(-1), _pairs_to_turn(below, half, channels)
+    _combined(flat, down, np.repeat(_turns(dy, shape[0]), 2 * half, axis=0), channels, between)
+    _combined(between, across, np.tile(_turns(-dx, shape[1]), (2 * below, 1)), channels, flat)
+
+
+def _turns(by: float, size: int) -> Float32:
+    """(N//2 + 1, 4): the weights for `_combined` that turn a pair at each frequency of an axis."""
+    turn = 2 * np.pi * by / size * np.arange(size // 2 + 1)
+    if size % 2 == 0:
+        turn[-1] = 0.0
+    cos, sin = np.cos(turn), np.sin(turn)
+    return np.stack([cos, sin, -sin, cos], axis=1).astype(np.float32)
+
+
+@functools.lru_cache(maxsize=16)
+def _pairs_to_turn(below: int, half: int, channels: int) -> tuple[UInt32, UInt32]:
+    """Rows for `_combined` from a spectrum to a spectrum: P and Q, k down slowest; real and imaginary part."""
+    at = (np.arange(4 * below * half) * channels).reshape(2, below, 2, half).astype(np.uint32)
+    down, across = (at[0].ravel(), at[1].ravel()), (at[:, :, 0].ravel(), at[:, :, 1].ravel())
+    return np.stack(down * 2, axis=1), np.stack(across * 2, axis=1)
+
+
 def unfolded(spectrum: Float32, rows: int) -> Complex:
     """(H, W//2 + 1, D): the frequencies down and across of a folded spectrum."""
     p, q = (planes[:, 0] + 1j * planes[:, 1] for planes in spectrum)
@@ -123,6 +152,7 @@ class _Plan:
         self._across_sin = np.ascontiguousarray(-self.across.sin)
         self._lines = np.empty((2, n // 2 + 1, m * channels), np.float32)
         self._there, self._back = _pairs_down(self.half, m, channels)
+        self._sums = np.tile(np.array([1, 1, 1, -1], np.float32), (len(self._there), 1))
         self._padded = np.zeros(2 * self.half * m * channels + channels, np.float32)
         self._planes = self._padded[:-channels].reshape(2, self.half, m * channels)
         self._pairs = np.empty((2, m // 2 + 1, 2, self.half, channels), np.float32)
@@ -141,7 +171,7 @@ class _Plan:
         np.matmul(self.across.cos, even, out=self._planes[0])
         np.matmul(self._across_sin, odd, out=self._planes[1])
         self._padded[-x.shape[2] :] = 0
-        _sums_and_differences(self._padded, self._there, x.shape[2], self._pairs.reshape(-1))
+        _combined(self._padded, self._there, self._sums, x.shape[2], self._pairs.reshape(-1))
         for waves, pair, part in zip((self.down.cos, self.down.sin), self._pairs, out, strict=True):
             np.matmul(waves, pair.reshape(len(pair), -1), out=part.reshape(len(part), -1))
         return out
@@ -150,7 +180,7 @@ class _Plan:
         n = self.part[0]
         for waves, pair, part in zip((self.down.cos_back, self.down.sin_back), self._pairs, g_f, strict=True):
             np.matmul(waves, part.reshape(len(part), -1), out=pair.reshape(len(pair), -1))
-        _sums_and_differences(self._pairs.reshape(-1), self._back, g_f.shape[-1], self._padded)
+        _combined(self._pairs.reshape(-1), self._back, self._sums, g_f.shape[-1], self._padded)
         even, odd = self._lines
         np.matmul(self.across.cos_back, self._planes[0], out=even)
         np.matmul(self.across.sin_back, self._planes[1], out=odd)
@@ -164,17 +194,18 @@ class _Plan:
 
 
 @compiled
-def _sums_and_differences(x: Float32, rows: UInt32, channels: int, out: Float32) -> None:
-    """out[s] = x[a] + x[b] and out[t] = x[a] - x[b] for each (a, b, s, t) of `rows`, `channels` numbers each."""
+def _combined(x: Float32, rows: UInt32, weights: Float32, channels: int, out: Float32) -> None:
+    """out[s] = w0 x[a] + w1 x[b] and out[t] = w2 x[a] + w3 x[b] for each (a, b, s, t) of `rows`, `channels` each."""
     for i in range(rows.shape[0]):
         a, b, s, t = rows[i, 0], rows[i, 1], rows[i, 2], rows[i, 3]
+        w0, w1, w2, w3 = weights[i, 0], weights[i, 1], weights[i, 2], weights[i, 3]
         for d in range(np.uint32(channels)):
-            out[s + d] = x[a + d] + x[b + d]
-            out[t + d] = x[a + d] - x[b + d]
+            out[s + d] = w0 * x[a + d] + w1 * x[b + d]
+            out[t + d] = w2 * x[a + d] + w3 * x[b + d]
 
 
 def _pairs_down(half: int, m: int, channels: int) -> tuple[UInt32, UInt32]:
-    """Rows for `_sums_and_differences`: planes (2, W//2 + 1, m, D) to pairs (2, m//2 + 1, 2, W//2 + 1, D), and back.
+    """Rows for `_combined`: planes (2, W//2 + 1, m, D) to pairs (2, m//2 + 1, 2, W//2 + 1, D), and back.
 
     Sums and differences over positions +j and -j.  The middle, and the one at -m/2, have no partner: it is a row of
     zeros after the planes, and what would become of it is written there.

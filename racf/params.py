@@ -57,6 +57,7 @@ class Params:
     penalty: float = 1.0  # mu of the first iteration [ARCF]
     penalty_growth: float = 10.0  # beta: factor on mu from one iteration to the next [ARCF]
     penalty_max: float = 10_000.0  # mu_max: mu grows no further [ARCF]
+    reuse_cells: float = 1.5  # a target that moved no further is learned from the sample that localised it [measured]
     newton_iterations: int = 5  # on the interpolated response [ARCF]; the authors' RACF takes none [measured]
 
     # Scale filter [ARCF, fDSST]
@@ -132,9 +133,9 @@ class Params:
             if getattr(self, name) > most:
                 raise ValueError(f"{name} is at most {most}, not {getattr(self, name)}")
         at_least = {
-            "cell_px": 1, "admm_iterations": 1, "newton_iterations": 0, "scales": 3, "refine_size_px": 16,
-            "refine_iterations": 1, "redetect_agree": 1, "redetect_places": 0, "redetect_reach": 1,
-            "redetect_patience": 1, "search_area": 1.0, "sample_min_px": 4 * self.cell_px,
+            "cell_px": 1, "admm_iterations": 1, "newton_iterations": 0, "reuse_cells": 0.0, "scales": 3,
+            "refine_size_px": 16, "refine_iterations": 1, "redetect_agree": 1, "redetect_places": 0,
+            "redetect_reach": 1, "redetect_patience": 1, "search_area": 1.0, "sample_min_px": 4 * self.cell_px,
             "sample_max_px": self.sample_min_px, "scale_model_area_px": 4 * self.cell_px**2,
         }  # fmt: skip
         for name, least in at_least.items():
@@ -177,8 +178,10 @@ def _parse(name: str, text: str, kind: type) -> bool | int | float:
 
 _RACF_MINUS = Params()
 _RACF_MINUS_MINUS = replace(_RACF_MINUS, spatial=0.0, temporal=0.0)
-# The baselines have the label, ridge, rates and cold start of their authors' published code.
-_BASELINE = replace(_RACF_MINUS_MINUS, residue=0.0, label_sigma=1 / 16, ridge=0.01, warm_start=False)
+# The baselines have the label, ridge, rates, cold start and samples of their authors' published code.
+_BASELINE = replace(
+    _RACF_MINUS_MINUS, residue=0.0, label_sigma=1 / 16, ridge=0.01, warm_start=False, reuse_cells=0.0
+)  # fmt: skip
 PRESETS = {
     "racf": replace(_RACF_MINUS, refine=True),
     "racf-": _RACF_MINUS,

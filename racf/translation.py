@@ -11,7 +11,7 @@ from racf import response as responses
 from racf.box import Box
 from racf.features import Features
 from racf.filter import Solver
-from racf.fourier import PrunedDft
+from racf.fourier import PrunedDft, move
 from racf.params import Params
 from racf.patch import resample
 
@@ -61,6 +61,7 @@ class TranslationFilter:
         self._model_f: Float32 | None = None
         self._learned_f: Float32 | None = None  # the sample that was learned last, for the residue between samples
         self._sample_f, self._residue_f = (np.zeros(self._grid.shape, np.float32) for _ in range(2))
+        self._localised_at: Box | None = None  # where `_sample_f` was taken
         self._response_f: Complex64 | None = None
         self._self_response = 1.0
 
@@ -86,6 +87,7 @@ class TranslationFilter:
         """Look for the target in the region around `box` (its size is taken as known)."""
         grid = self._grid
         response_f = self._correlate(self.sample(image, box, self._sample_f))
+        self._localised_at = box
         response = responses.response_map(response_f, (grid.rows, grid.cols))
         row, col = (int(i) for i in np.unravel_index(int(np.argmax(response)), response.shape))
         start = float(row - grid.rows // 2), float(col - grid.cols // 2)
@@ -99,7 +101,7 @@ class TranslationFilter:
     def learn(self, image: UInt8, box: Box) -> None:
         """Take the target at `box` into the model and learn the filter again."""
         params, residue_f = self.params, self._residue_f
-        sample_f = self.sample(image, box, self._sample_f)
+        sample_f = self._sample_to_learn(image, box)
         model_f = self._model_f
         if model_f is None:
             model_f = self._model_f = sample_f.copy()
@@ -116,6 +118,21 @@ class TranslationFilter:
         self._solver.learn(model_f, residue_f, label_f, gamma)
         own = self._correlate(model_f).real @ self._grid.weights()
         self._self_response = max(float(own.sum()) / (self._grid.rows * self._grid.cols), 1e-9)
+
+    def _sample_to_learn(self, image: UInt8, box: Box) -> Float32:
+        """The sample around a box of the image that was looked at last.
+
+        If the target is as large as it was and hardly moved, it is the sample that localised it, moved in the frequency
+        domain as ECO does (Danelljan 2017), which saves a new one.
+        """
+        at, self._localised_at = self._localised_at, None
+        if at is not None and (at.w, at.h) == (box.w, box.h):
+            grid, per_cell = self._grid, self.region(box).w / self._grid.cols
+            dx, dy = (box.centre_x - at.centre_x) / per_cell, (box.centre_y - at.centre_y) / per_cell
+            if max(abs(dx), abs(dy)) <= self.params.reuse_cells:
+                move(self._sample_f, dy, dx, (grid.rows, grid.cols), self._residue_f)
+                return self._sample_f
+        return self.sample(image, box, self._sample_f)
 
     def _centred_response(self, response_f: Complex64) -> Float32:
         """(2, H, Wf): the last response with its peak shifted to zero: M_{k-1}[psi] of Eq. 2."""

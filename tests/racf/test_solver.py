@@ -8,11 +8,18 @@ import pytest
 import scipy.fft
 
 from racf.filter import Learned, Solver, bowl_weight, solve_g, solve_rank_two_numpy
-from racf.fourier import PrunedDft, folded, unfolded
+from racf.fourier import PrunedDft, folded, move, unfolded
 from racf.params import Params
 from racf.response import refine_peak, response_map, sharpness
 
 ROWS, COLS, CHANNELS, SUPPORT = 9, 12, 3, (4, 5)
+
+
+def smooth(x: np.ndarray) -> np.ndarray:
+    """Without the frequencies in the middle of even axes."""
+    for axis in (0, 1):
+        x = (np.roll(x, 1, axis) + 2 * x + np.roll(x, -1, axis)) / 4
+    return x
 
 
 def planes(z: np.ndarray) -> np.ndarray:
@@ -31,6 +38,17 @@ def random_planes(rng, *shape) -> np.ndarray:
 def centred_rfft2(x: np.ndarray) -> np.ndarray:
     """scipy's own transform of an image whose middle is position 0."""
     return scipy.fft.rfft2(scipy.fft.ifftshift(x, axes=(0, 1)), axes=(0, 1))
+
+
+@pytest.mark.parametrize("size", [(9, 12), (12, 9), (10, 10), (7, 7)])
+def test_a_spectrum_moved_in_two_parts_of_cells_is_that_of_the_image_rolled_by_whole_ones(size):
+    image = smooth(np.random.default_rng(0).normal(size=(*size, CHANNELS)).astype(np.float32))
+    grid = PrunedDft(*size, SUPPORT, CHANNELS)
+    spectrum, scratch = grid.forward(across_first(image)), np.empty(grid.shape, np.float32)
+    for share in (0.3, 0.7):
+        move(spectrum, 2 * share, -3 * share, size, scratch)
+    expected = grid.forward(across_first(np.roll(image, (-2, 3), axis=(0, 1))))
+    np.testing.assert_allclose(spectrum, expected, atol=1e-4)
 
 
 @pytest.mark.parametrize("size", [(9, 12), (12, 9), (10, 10), (7, 7)])

@@ -10,6 +10,7 @@ from numba.core.dispatcher import Dispatcher
 
 from racf import Box, Racf, preset, warm_up
 from racf.patch import shrunk
+from racf.translation import TranslationFilter
 
 TEXTURE = cv2.GaussianBlur(np.random.default_rng(5).integers(0, 256, (700, 900, 3), dtype=np.uint8), (0, 0), 3)
 TEXTURE = cv2.normalize(TEXTURE, None, 0, 255, cv2.NORM_MINMAX)
@@ -175,6 +176,27 @@ def test_a_view_is_copied_once_for_all_samples(monkeypatch):
     assert len(sampled) > 4
     assert all(image.flags.c_contiguous for image in sampled)
     assert len({id(image) for image in sampled}) == 2
+
+
+@pytest.mark.parametrize(("move", "samples"), [(0, 1), (2, 1), (30, 2)])
+def test_a_target_that_hardly_moved_is_learned_from_the_sample_that_localised_it(move, samples, monkeypatch):
+    taken: list[Box] = []
+    sample = TranslationFilter.sample
+
+    def watched(self, image, box, out=None):
+        taken.append(box)
+        return sample(self, image, box, out)
+
+    images = [scene(150 + (k % 2) * move, 100, 40) for k in range(12)]
+    boxes = []
+    for reuse in (1.5, 0.0):
+        tracker = Racf(f"racf-,reuse_cells={reuse}")
+        tracker.init(images[0], around(150, 100, 40))
+        with monkeypatch.context() as patch:
+            patch.setattr(TranslationFilter, "sample", watched)
+            boxes.append([tracker.update(image).box for image in images[1:]])
+    assert len(taken) == (samples + 2) * 11
+    assert min(a.iou(b) for a, b in zip(*boxes, strict=True)) > 0.95
 
 
 def test_update_before_init_is_refused():
