@@ -146,7 +146,14 @@ def track(command: TrackCommand) -> None:
         raise UsageError(str(error)) from None
     if target is None:
         raise UsageError("a target is needed: --init x,y,w,h, or --truth with its annotation")
-    tracked = tracking.track(command.source, target, spec, truth, command.overlay, to_stderr)
+    tracked = tracking.Tracked([], [])
+    try:
+        tracking.track(command.source, target, spec, truth, command.overlay, to_stderr, tracked)
+    except BaseException:  # a frame that cannot be read, or Ctrl-C: what was tracked before it stays
+        if tracked.tracks:
+            beside = tracked.write(command.out)
+            to_stderr(f"the {len(tracked.tracks)} boxes before that are written to {command.out} and {beside}")
+        raise
     beside = tracked.write(command.out)
     lost = sum(not t.found for t in tracked.tracks)
     to_stderr(

@@ -112,15 +112,18 @@ def track(
     truth: Boxes | None = None,
     overlay: Path | None = None,
     notify: Callable[[str], None] = lambda _line: None,
+    into: Tracked | None = None,
 ) -> Tracked:
     """Follow `target` from the first image of a video file or folder of images to the last.
 
     `overlay` names a video to write, in which the tracker's box (green, red while it is not found), its confidence
     and the annotation `truth` (white, 1-based) are drawn.  `notify` is told if the target reaches out of the image,
-    once if it is tiny, and what a video lacks: a frame that does not decode has the last box, not found.
+    once if it is tiny, and what a video lacks: a frame that does not decode has the last box, not found.  The answers
+    go `into` an empty Tracked, where they stay when something is raised.
     Raises ValueError or OSError for what cannot be read, TrackerError if the tracker fails.
     """
-    tracker, tracks, times, tiny = spec.build(), list[Track](), list[float](), ""
+    done = Tracked([], []) if into is None else into
+    tracker, tracks, times, tiny = spec.build(), done.tracks, done.ms, ""
     with _writer(overlay, source) as write:
         for image in rows_of(source, notify):
             if image is None:  # a frame that does not decode keeps its row
@@ -132,14 +135,15 @@ def track(
             with naming(spec.label, f"{source}, frame {len(tracks)}"):
                 began = perf_counter()
                 answer = tracker.update(image) if tracks else tracker.init(image, target)
-                times.append(1000 * (perf_counter() - began))
+                spent_ms = 1000 * (perf_counter() - began)
             if not tiny and answer.found and (tiny := tiny_line(answer.box)):
                 notify(f"frame {len(tracks)}: {tiny}")
             if write is not None:
                 row = truth[len(tracks)] if truth is not None and len(tracks) < len(truth) else None
                 write.put(drawn(image, answer, row))
             tracks.append(answer)
-    return Tracked(tracks, times)
+            times.append(spent_ms)
+    return done
 
 
 def _start(target: Box, image: NDArray[np.uint8]) -> str:

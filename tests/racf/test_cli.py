@@ -4,6 +4,7 @@ import json
 import re
 import sys
 
+import cv2
 import numpy as np
 import pytest
 
@@ -37,6 +38,26 @@ def test_track_writes_a_box_a_frame_near_the_target(data, tmp_path):
     truth = rendered.path_of_target(8) - [1, 1, 0, 0]
     assert boxes.shape == (8, 4)
     assert np.abs((boxes - truth)[:, :2]).max() < 4
+
+
+@pytest.mark.parametrize("broken", [b"no image", cv2.imencode(".png", np.zeros((20, 30, 3), np.uint8))[1].tobytes()])
+def test_what_was_tracked_before_a_frame_that_cannot_be_tracked_is_written(broken, data, tmp_path, capsys):
+    source, out, overlay = data / "Bench" / "one", tmp_path / "boxes.txt", tmp_path / "drawn.mp4"
+    sorted(source.glob("*.png"))[5].write_bytes(broken)
+    given = ("track", source, "--init", "30,40,24,20", "--out", out, "--tracker", "racf-", "--overlay", overlay)
+    assert racf(*given) == 1
+    assert read_boxes(out).shape == (5, 4)
+    assert len(out.with_suffix(".csv").read_text().splitlines()) == 6
+    assert overlay.stat().st_size > 0
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[-2].startswith("the 5 boxes before that are written to ")
+    assert lines[-1].startswith("racf: error: ")
+
+
+def test_a_start_that_cannot_be_tracked_writes_nothing(data, tmp_path):
+    out = tmp_path / "boxes.txt"
+    assert racf("track", data / "Bench" / "one", "--init", "3000,40,24,20", "--out", out) == 2
+    assert not out.exists()
 
 
 def test_eval_prints_only_its_json_with_the_promised_keys(data, capsys):
