@@ -57,7 +57,7 @@ class Params:
     penalty: float = 1.0  # mu of the first iteration [ARCF]
     penalty_growth: float = 10.0  # beta: factor on mu from one iteration to the next [ARCF]
     penalty_max: float = 10_000.0  # mu_max: mu grows no further [ARCF]
-    reuse_cells: float = 1.5  # a target that moved no further is learned from the sample that localised it [measured]
+    reuse_cells: float = 0.0  # a target that moved no further is learned from the sample that localised it [measured]
     newton_iterations: int = 5  # on the interpolated response [ARCF]; the authors' RACF takes none [measured]
 
     # Scale filter [ARCF, fDSST]
@@ -178,10 +178,8 @@ def _parse(name: str, text: str, kind: type) -> bool | int | float:
 
 _RACF_MINUS = Params()
 _RACF_MINUS_MINUS = replace(_RACF_MINUS, spatial=0.0, temporal=0.0)
-# The baselines have the label, ridge, rates, cold start and samples of their authors' published code.
-_BASELINE = replace(
-    _RACF_MINUS_MINUS, residue=0.0, label_sigma=1 / 16, ridge=0.01, warm_start=False, reuse_cells=0.0
-)  # fmt: skip
+# The baselines have the label, ridge, rates and cold start of their authors' published code.
+_BASELINE = replace(_RACF_MINUS_MINUS, residue=0.0, label_sigma=1 / 16, ridge=0.01, warm_start=False)
 PRESETS = {
     "racf": replace(_RACF_MINUS, refine=True),
     "racf-": _RACF_MINUS,

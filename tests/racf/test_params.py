@@ -55,7 +55,7 @@ OTHER: dict[str, tuple[Any, dict[str, Any]]] = {
     "residue": (0.2, {}), "residue_to_model": (False, {}), "spatial": (0.1, {}), "bowl": (3.0, {}),
     "temporal": (0.1, {}), "ridge": (0.1, {}), "aberrance": (0.7, {}), "admm_iterations": (3, {}),
     "warm_start": (False, {}), "penalty": (3.0, {}), "penalty_growth": (5.0, {}), "penalty_max": (5.0, {}),
-    "newton_iterations": (0, {}), "reuse_cells": (0.0, {}),
+    "newton_iterations": (0, {}), "reuse_cells": (1.5, {}),
     "scales": (17, {}), "scale_step": (1.02, {}), "scale_sigma": (1.0, {}),
     "scale_learning_rate": (0.3, {}), "scale_ridge": (100.0, {}), "scale_model_area_px": (300, {}),
     "refine": (False, {}), "refine_size_px": (40, {}), "refine_margin_px": (6.0, {}),
