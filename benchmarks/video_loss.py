@@ -58,7 +58,7 @@ class Kept:
 def coded(clip: Sequence[Image], count: int, coding: Coding) -> list[bytes]:
     """The packets of `count` numbered images."""
     kept, plain = Kept(), video_stream.Fanout
-    video_stream.Fanout = lambda: kept
+    video_stream.Fanout = lambda _twice: kept
     try:
         stream = VideoStream(coding, "", print)
     finally:

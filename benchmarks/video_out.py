@@ -270,6 +270,7 @@ def main() -> int:
     parser.add_argument("--viewer", nargs="+", default=["libav", "gstreamer", "gstreamer-fast"])
     parser.add_argument("--rate-bit-s", type=int, nargs="+", default=[2_000_000, 4_000_000], help="one for each size")
     parser.add_argument("--key-s", type=float, default=VideoConfig().key_s)
+    parser.add_argument("--twice", action="store_true", help="each packet twice, within the same bit rate")
     options = parser.parse_args()
     if options.view:
         view(options.view[0], int(options.view[1]), Path(options.view[2]))
@@ -286,7 +287,7 @@ def main() -> int:
             file = Path(folder) / "clip.npy"
             np.save(file, np.stack([brightness(av.VideoFrame.from_ndarray(image, "bgr24")) for image in clip]))
             for viewer in options.viewer:
-                config = VideoConfig(width=width, rate_bit_s=rate, key_s=options.key_s)
+                config = VideoConfig(width=width, rate_bit_s=rate, key_s=options.key_s, twice=options.twice)
                 f = run(viewer, clip, file, options.seconds, config)
                 print(ROW.format(size, viewer, **f), flush=True)
                 worst_s = max(worst_s, float(f["slowest_s"]))

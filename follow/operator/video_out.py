@@ -43,6 +43,8 @@ class VideoConfig:
     """Highest bit rate: 2 Mbit/s shows a 640x360 scene at 37 dB in its worst part (docs/ground_station.md)."""
     key_s: float = KEY_S
     """Time between key frames, s: a short one makes lost packets good sooner, a long one looks better at a low rate."""
+    twice: bool = False
+    """Send each RTP packet twice, for a radio that loses many; half of rate_bit_s each. Not for FFmpeg."""
     encoder: Encoder = Encoder.AUTO
     """Encoder: auto (the board's own H.264 encoder if it opens, else libx264), libx264, h264_v4l2m2m, h264_nvenc."""
     overlay: bool = False
@@ -115,7 +117,9 @@ class VideoOut:
         self._next_t_s = NEVER
         self._status = NOTHING
         self._delays: deque[float] = deque(maxlen=DELAYS)
-        coding = Coding(encoder_for(config.encoder), config.rate_hz, config.rate_bit_s, config.key_s)
+        twice = config.twice and not address.url  # RTSP goes by TCP
+        bit_s = config.rate_bit_s // 2 if twice else config.rate_bit_s
+        coding = Coding(encoder_for(config.encoder), config.rate_hz, bit_s, config.key_s, twice)
         self._worker = Worker("the video", lambda: VideoStream(coding, address.url, report), report, 1, waits=False)
         self.send_to((address.host,) if address.host else ())
 

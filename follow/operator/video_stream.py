@@ -23,6 +23,7 @@ from follow.messages import NEVER, Notify
 from follow.operator.rtsp import RtspPush
 from follow.recording.video_encoder import BOARDS, Encoder, even
 
+MARKER = 128  # in an RTP packet's second byte: the last one of a frame [RFC 6184, section 5.1]
 CLOCK_HZ = 90_000  # RTP clock of video [RFC 6184, section 8.2.1]
 KEY_S = 0.1  # at 10 % loss 95 % of spoilt stretches end in 0.7 s, with 0.25 s in 2.5 (benchmarks/video_loss.py)
 PACKET_BYTES, SLICE_BYTES = 1300, 1200  # an Ethernet frame less the headers of IP, UDP, a VPN and radio links
@@ -37,13 +38,14 @@ BOARD_OPTIONS = {Encoder.NVENC.value: {"preset": "p1", "tune": "ull", "zerolaten
 class Coding:
     """How frames are coded: `encoder` is never AUTO or JPEG; `rate_hz` is the highest rate.
 
-    `key_s` is the time from one key frame to the next.
+    `key_s` is the time from one key frame to the next.  With `twice` RTP packets go twice.
     """
 
     encoder: str
     rate_hz: float
     bit_s: int
     key_s: float = KEY_S
+    twice: bool = False
 
     @property
     def key_frames(self) -> int:
@@ -54,23 +56,40 @@ class Coding:
 class Fanout:
     """Takes what FFmpeg writes, one RTP packet at a time, and sends it to every address without waiting.
 
-    Each packet once: FFmpeg's receiver shows nothing of a stream whose packets come twice, with the same number.
+    With `twice` the packets of a frame are sent again after its last one, and that one after the first of the next
+    frame.  GStreamer's jitter buffer takes the one that comes; FFmpeg's receiver loses its place by copies.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, twice: bool = False) -> None:
         self.addresses: tuple[tuple[str, int], ...] = ()
         self.dropped = 0
+        self._twice, self._frame, self._last = twice, list[bytes](), b""
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
 
     def write(self, packet: bytes) -> int:
         """Send one packet; what the network does not take at once is dropped and counted."""
+        self._send(packet)
+        if self._twice:
+            self._send_again(bytes(packet))
+        return len(packet)
+
+    def _send_again(self, packet: bytes) -> None:
+        if self._last:
+            self._send(self._last)
+            self._last = b""
+        self._frame.append(packet)
+        if packet[1] & MARKER:
+            for copy in self._frame[:-1]:
+                self._send(copy)
+            self._last, self._frame = packet, []
+
+    def _send(self, packet: bytes) -> None:
         for address in self.addresses:
             try:
                 self._socket.sendto(packet, address)
             except OSError:  # send buffer full, no route yet: the next frame counts
                 self.dropped += 1
-        return len(packet)
 
     def close(self) -> None:
         """Close the socket."""
@@ -85,7 +104,7 @@ class VideoStream:
 
     def __init__(self, coding: Coding, url: str, report: Notify) -> None:
         self._coding, self._url, self._report = coding, url, report
-        self._fanout, self._push = Fanout(), RtspPush(url) if url else None
+        self._fanout, self._push = Fanout(coding.twice), RtspPush(url) if url else None
         self._size = (0, 0)
         self._container: Any = None
         self._stream: Any = None
