@@ -29,7 +29,7 @@ from follow.link.signing import Signing
 from follow.messages import Frame, Notify
 from follow.operator.terminal import Terminal
 from racf.box import Box
-from racf.commandline import UsageError
+from racf.commandline import UsageError, plain
 
 CAMERA_S = 3.0  # as long as the gaps between frames are watched
 BOX_SHARE = 6  # the timed target is a sixth of the image's height, as a person some 10 m away is
@@ -115,7 +115,7 @@ def listen(uri: str, system_id: int | None, key: Path | None, report: Notify) ->
     try:
         signing = Signing(key) if key is not None else None
     except (ValueError, OSError) as error:
-        why = f"{key}: {error.strerror}" if isinstance(error, OSError) else str(error)
+        why = plain(error) if isinstance(error, OSError) else str(error)
         return [Finding("signing", Health.RED, f"{why}; the link is not checked", "32 bytes in it, and chmod 600")]
     try:
         with connect(uri, system_id, signing=signing) as link:

@@ -93,7 +93,8 @@ def test_doctor_says_of_a_scene_and_of_a_missing_key_what_they_are(capfd, tmp_pa
     assert "ok camera: a drawn scene" in err
     words = ("--link", "udpin:127.0.0.1:0", "--signing-key", tmp_path / "nokey")
     _, err = follow(capfd, "doctor", *words, "--out", tmp_path)
-    assert f"red signing: {tmp_path / 'nokey'}: No such file or directory; the link is not checked" in err
+    assert f"red signing: there is no signing key {tmp_path / 'nokey'}: head -c 32" in err
+    assert "; the link is not checked" in err
 
 
 def test_the_version_is_told(capfd):

@@ -72,7 +72,7 @@ def test_what_opencv_lacks_is_said_when_it_is_built():
     lacking = [name for name in ("csrt", "kcf") if not opencv_has(name)]
     if not lacking:
         pytest.skip("this OpenCV has every tracker")
-    with pytest.raises(ValueError, match=f"has no {lacking[0]} tracker; `make bench`"):
+    with pytest.raises(ValueError, match=f"has no {lacking[0]} tracker: in a clone `make bench`"):
         TrackerSpec.parse(lacking[0]).build()
 
 

@@ -173,5 +173,5 @@ def test_a_dask_cluster_of_two_workers_gives_the_same_boxes(sequences):
 
 @pytest.mark.skipif(importlib.util.find_spec("distributed") is not None, reason="the extra dask is installed")
 def test_without_the_extra_the_error_says_what_to_install(sequences):
-    with pytest.raises(ValueError, match=r"pip install 'follow-me\[dask\]'"):
+    with pytest.raises(ValueError, match=r"pip install '\.\[dask\]'"):
         run_all(all_tasks(sequences), dask="tcp://127.0.0.1:8786")
