@@ -47,12 +47,16 @@ def _read_only(image: UInt8) -> UInt8:
 
 @compiled
 def _sampled(
-    source: UInt8, channels: int, grids: Float64, places: UInt32, weights: Int32, line: Int32, out: UInt8,
-    shape: tuple[int, int],
+    source: UInt8, channels: int, grids: Float64, places: UInt32, weights: Int32, line: UInt32, pairs: UInt32,
+    taken: UInt32, out: UInt8, shape: tuple[int, int],
 ) -> None:  # fmt: skip
-    """See `bilinear`; source (H, W C) and out (N, C, h, w) flat, places (2, 2, side) and weights (2, side) scratch."""
+    """See `bilinear`; source (H, W C) and out (N, C, h, w) flat.
+
+    Scratch: places (2, 2, side), weights (2, side), a row of the source with its pixels' values and, packed, with those
+    of their right neighbours also: one that has none has the weight 0.
+    """
     rows, cols = shape
-    size, width = np.uint32(shape[1]), np.uint32(line.size)
+    size, width, beside = np.uint32(shape[1]), np.uint32(pairs.size), np.uint32(channels)
     for n in range(grids.shape[0]):
         for axis in range(2):
             first, step, last, stride = grids[n, axis, 0], grids[n, axis, 1], grids[n, axis, 2], grids[n, axis, 3]
@@ -67,8 +71,7 @@ def _sampled(
         begin = places[0, 0, 0]
         for j in range(size):
             places[0, 0, j] -= begin
-            places[0, 1, j] -= begin
-        count = np.uint32(places[0, 1, cols - 1] + channels)
+        count = np.uint32(places[0, 1, cols - 1] - begin + channels)
         for i in range(rows):
             upper = np.uint32(places[1, 0, i] * width + begin)
             lower = np.uint32(places[1, 1, i] * width + begin)
@@ -77,10 +80,14 @@ def _sampled(
                 line[j] = 256 * np.int32(source[upper + j]) + share * (
                     np.int32(source[lower + j]) - np.int32(source[upper + j])
                 )
+            for j in range(count):
+                pairs[j] = line[j] | (line[j + beside] << np.uint32(16))
             for c in range(channels):
-                into, of_c = np.uint32(((n * channels + c) * rows + i) * cols), line[c:]
+                into, of_c = np.uint32(((n * channels + c) * rows + i) * cols), pairs[c:]
+                for j in range(size):  # apart from the sums, which are done on many at once
+                    taken[j] = of_c[places[0, 0, j]]
                 for j in range(size):
-                    left, right = of_c[places[0, 0, j]], of_c[places[0, 1, j]]
+                    left, right = np.int32(taken[j] & np.uint32(65535)), np.int32(taken[j] >> np.uint32(16))
                     out[into + j] = np.int32(256 * left + weights[0, j] * (right - left) + 32768) >> 16
 
 
@@ -96,9 +103,10 @@ def bilinear(source: UInt8, grids: Grids, out: UInt8) -> None:
     axes = np.empty((len(out), 2, 4))
     axes[..., :2] = np.reshape(grids, (-1, 2, 2))
     axes[..., 2], axes[..., 3] = (cols - 1, rows - 1), (channels, 1)
-    side, line = max(high, wide), np.empty(cols * channels, np.int32)
-    _sampled(source.reshape(-1), channels, axes, np.empty((2, 2, side), np.uint32), np.empty((2, side), np.int32), line,
-             out.reshape(-1), (high, wide))  # fmt: skip
+    side, width = max(high, wide), cols * channels
+    line, pairs, taken = (np.empty(size, np.uint32) for size in (width + channels, width, side))
+    _sampled(source.reshape(-1), channels, axes, np.empty((2, 2, side), np.uint32), np.empty((2, side), np.int32),
+             line, pairs, taken, out.reshape(-1), (high, wide))  # fmt: skip
 
 
 def resample(
