@@ -120,12 +120,13 @@ def _strongest_gradients(
             line[x + np.uint32(1)] = pixels[here + x]
         line[0], line[cols + 1] = line[1], line[cols]
         for x in range(width):
-            dx = line[x + np.uint32(2)] - line[x]
-            dy = np.int32(pixels[lower + x]) - np.int32(pixels[upper + x])
-            square = np.int32(dx * dx + dy * dy)  # numba's products of 32 bits have 64
-            better = square > strength[x]
-            strength[x] = square if better else strength[x]
-            index[x] = (dy + 255) * 511 + dx + 255 if better else index[x]
+            # numba's sums and products of 32 bits have 64, of which half as many are done at once
+            dx = np.int32(line[x + np.uint32(2)] - line[x])
+            dy = np.int32(np.int32(pixels[lower + x]) - np.int32(pixels[upper + x]))
+            square = np.int32(np.int32(dx * dx) + np.int32(dy * dy))
+            before, place = strength[x], np.int32(np.int32(dy * np.int32(511)) + dx)
+            strength[x] = max(square, before)
+            index[x] = np.uint32(place + np.int32(255 * 511 + 255)) if square > before else index[x]
 
 
 @compiled
