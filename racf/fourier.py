@@ -125,7 +125,7 @@ def _counts(size: int) -> NDArray[np.float64]:
 
 
 def _waves(size: int, count: int) -> tuple[Float32, Float32]:
-    """Cosines and sines (2, frequencies k = 0..n//2, positions j = 0..count//2) of 2 pi k j / n; (2, j, k) for the way back."""
+    """cos and sin of 2 pi k j / n: (2, k = 0..n//2, j = 0..count//2); the way back is (2, j, k)."""
     turns = np.outer(np.arange(size // 2 + 1), np.arange(count // 2 + 1)) * (2 * np.pi / size)
     waves, counted = np.stack([np.cos(turns), np.sin(turns)]), _counts(size) / size
     there, back = (np.ascontiguousarray(of, np.float32) for of in (waves, waves.swapaxes(1, 2) * counted))
@@ -135,7 +135,7 @@ def _waves(size: int, count: int) -> tuple[Float32, Float32]:
 def _halves(pair: Float32) -> Float32:
     """Two matrices (2, ..., N) as (2, 2, rows, N/2), each cut into its left and its right half if N is even.
 
-    OpenBLAS multiplies up to a million numbers without packing them first: a transform takes a quarter less.
+    OpenBLAS packs what takes more than a million products first; halves need no packing: a fifth less for a transform.
     """
     rows = pair.shape[1]
     width = pair[0].size // rows

@@ -45,6 +45,12 @@ def test_a_cold_cache_is_announced_in_one_line_and_a_warm_one_is_not(tmp_path):
     assert said_with_cache_in(tmp_path) == ""
 
 
+def test_compiling_leaves_garbage_collection_as_it_was(tmp_path):
+    for was in ("enable", "disable"):
+        program = f"import gc; gc.{was}()\n{ONE_KERNEL}\nprint(gc.isenabled())"
+        assert fresh_process(program, tmp_path / was).stdout == f"{was == 'enable'}\n"
+
+
 def test_an_edit_of_another_kernels_file_leaves_no_stale_machine_code(tmp_path):
     shutil.copytree(Path(racf.__file__).parent, tmp_path / "racf", ignore=shutil.ignore_patterns("__pycache__"))
     hog = tmp_path / "racf" / "hog.py"
