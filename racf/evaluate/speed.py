@@ -1,8 +1,9 @@
 """How fast, on one core: every tracker and its OpenCV peers on the same frames in the same run.
 
-Each image is handed to all trackers in turn, in an order that rotates, so that other load on the machine slows
-all of them equally; a ratio is taken within a sequence, and the median over the sequences is reported.  A frame's time
-is that of the processor, where the system can tell (the tracker has one thread): another program's turn does not count.
+Each image is handed to all trackers in turn, so that other load on the machine slows all of them equally, in an order
+that is drawn for each image: what the tracker before left in the caches helps or hinders all of them alike.  A ratio
+is taken within a sequence, and the median over the sequences is reported.  A frame's time is that of the processor,
+where the system can tell (the tracker has one thread): another program's turn does not count.
 """
 
 import json
@@ -194,13 +195,13 @@ def measure(specs: list[TrackerSpec], clip: Clip) -> dict[str, Lap]:
         warm_up(spec)
     running = [(spec.label, spec.build()) for spec in specs]
     laps = {spec.label: Lap([], {}) for spec in specs}
+    rng = np.random.default_rng(0)
     for index, image in enumerate(clip.images()):
         if index == 0:
             for _, tracker in running:
                 tracker.init(image, clip.target)
             continue
-        turn = index % len(running)
-        for label, tracker in [*running[turn:], *running[:turn]]:
+        for label, tracker in (running[i] for i in rng.permutation(len(running))):
             began = _clock()
             track = tracker.update(image)
             laps[label].frame_ms.append(1000 * (_clock() - began))

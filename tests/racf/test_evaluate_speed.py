@@ -1,5 +1,8 @@
 """What the speed measurement must be to be fair: same images, turn by turn, ratios within a sequence."""
 
+from itertools import pairwise, permutations
+from types import SimpleNamespace
+
 import pytest
 
 import tests.support.rendered_benchmarks as rendered
@@ -20,6 +23,35 @@ def test_every_tracker_is_timed_on_every_image_after_the_first(tmp_path):
         assert len(lap.frame_ms) == 4
         assert all(len(of) <= 4 for of in lap.stage_ms.values())
         assert min(lap.frame_ms) > 0
+
+
+def test_every_tracker_has_its_turn_after_every_other_about_alike(monkeypatch):
+    """Otherwise what one leaves in the processor's caches would always be the same other one's loss or gain."""
+    order: list[str] = []
+
+    class Named:
+        def __init__(self, label: str) -> None:
+            self.label = label
+
+        def build(self):
+            return self
+
+        def init(self, image, target):
+            pass
+
+        def update(self, image):
+            order.append(self.label)
+            return SimpleNamespace(stage_ms={})
+
+    monkeypatch.setattr(speed, "warm_up", lambda spec: None)
+    monkeypatch.setattr(speed, "rendered", lambda target, count: iter(range(count)))
+    speed.measure([Named(label) for label in "abcd"], Clip("x", Box(0, 0, 9, 9), count=301))
+    rounds = [order[i : i + 4] for i in range(0, len(order), 4)]
+    assert len(rounds) == 300
+    assert all(sorted(of) == list("abcd") for of in rounds)
+    for first, second in permutations("abcd", 2):
+        after = sum((first, second) in pairwise(of) for of in rounds)
+        assert 45 < after < 105  # 75 of 300, a deviation of 8
 
 
 def test_a_sequence_of_one_frame_is_refused_in_one_sentence(tmp_path):
