@@ -1,13 +1,16 @@
 """The two-fold study: nothing is judged on a sequence that chose it, and every start begins on a target."""
 
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import tests.support.rendered_benchmarks as rendered
 from racf.evaluate.benchmarks import Sequence
-from tools.studies.halves import AUTHORS, HALVES, INNER, difference, inner_starts, main, over, two_fold
+from racf.evaluate.trackers import TrackerSpec
+from tools.studies import halves
+from tools.studies.halves import AUTHORS, HALVES, OTHER_STARTS, STARTS, difference, inner_starts, main, over, two_fold
 
 EVERY = [*HALVES["A"], *HALVES["B"]]
 
@@ -48,9 +51,22 @@ def test_inner_starts_begin_where_the_target_is_annotated() -> None:
     truth[8:14] = np.nan
     truth[20] = 0.0
     sequence = Sequence("walk", "made", truth, attributes=())
-    parts = list(inner_starts(sequence))
+    parts = list(inner_starts(sequence, STARTS))
     assert [len(part.truth) for part in parts] == [30 - 14, 30 - 21]
-    assert len({part.name for part in parts} | {sequence.name}) == 1 + len(INNER)
+    assert len({part.name for part in parts} | {sequence.name}) == 1 + len(STARTS.inner)
+
+
+def test_the_other_starts_are_seven_and_none_of_the_first_five() -> None:
+    truth = np.tile([10.0, 10.0, 20.0, 20.0], (60, 1))
+    sequence = Sequence("walk", "made", truth, tuple(Path(f"{i}.jpg") for i in range(60)), ())
+    spec = TrackerSpec.parse("racf-")
+    first, other = (
+        {(task.sequence, task.start): (task.first_box, task.frames[0]) for task in halves.todo(spec, sequence, starts)}
+        for starts in (STARTS, OTHER_STARTS)
+    )
+    assert (len(first), len(other)) == (5, 7)
+    assert not set(first) & set(other)
+    assert not set(first.values()) & set(other.values())
 
 
 @pytest.fixture

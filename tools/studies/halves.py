@@ -5,8 +5,9 @@
 
 DATA holds the twenty sequences named in HALVES, as folders, with the authors' boxes in DATA/results.  Each sequence is
 run from five starts: its annotated first box, two that are a little wrong (`racf.evaluate.runner.jittered`), and the
-annotated boxes a third and two thirds of the way.  A sequence counts once, with the mean over its starts.  Shares are
-percent, in the toolkits' convention (docs/evaluation.md).
+annotated boxes a third and two thirds of the way; with `--other-starts` from seven more, four that are a little wrong
+and the annotated boxes after a sixth, a half and five sixths.  A sequence counts once, with the mean over its starts.
+Shares are percent, in the toolkits' convention (docs/evaluation.md).
 
 Of each family of candidates the best on one half (by the sum of AUC and precision) is reported on the other, and the
 other way round; both reports together are the two-fold figure, over all twenty sequences, none of which chose what it
@@ -40,8 +41,18 @@ HALVES = {
     "B": ("S1001", "S1606", "Surfing06", "building4", "building5", "group2_2", "group3_2", "person11", "truck2",
           "wakeboard7"),
 }  # fmt: skip
-JITTERED = 2
-INNER = {"from-a-third": 1 / 3, "from-two-thirds": 2 / 3}
+
+
+@dataclass(frozen=True, slots=True)
+class Starts:
+    """Where the runs of a sequence begin: 0 its first box, 1, 2, ... jittered ones; and within, by share of its way."""
+
+    first: tuple[int, ...]
+    inner: dict[str, float]
+
+
+STARTS = Starts((0, 1, 2), {"from-a-third": 1 / 3, "from-two-thirds": 2 / 3})
+OTHER_STARTS = Starts((3, 4, 5, 6), {"from-a-sixth": 1 / 6, "from-half": 1 / 2, "from-five-sixths": 5 / 6})
 
 AUTHORS = "RACF, the authors' boxes"
 
@@ -103,10 +114,10 @@ class Fold:
     reported_on: str
 
 
-def inner_starts(sequence: Sequence) -> Iterator[Sequence]:
-    """The sequence from within: from the first frame at or after each share of INNER whose annotation is a box."""
+def inner_starts(sequence: Sequence, starts: Starts) -> Iterator[Sequence]:
+    """The sequence from within: from the first frame at or after each share of its way whose annotation is a box."""
     usable = np.all(np.nan_to_num(sequence.truth)[:, 2:] > 0, axis=1)
-    for name, share in INNER.items():
+    for name, share in starts.inner.items():
         first = int(len(usable) * share)
         first += int(np.argmax(usable[first:]))
         yield replace(
@@ -117,18 +128,21 @@ def inner_starts(sequence: Sequence) -> Iterator[Sequence]:
         )
 
 
-def todo(spec: TrackerSpec, sequence: Sequence) -> list[Task]:
+def todo(spec: TrackerSpec, sequence: Sequence, starts: Starts) -> list[Task]:
     """All starts of one tracker on one sequence."""
-    return [*tasks(spec, sequence, JITTERED), *(t for part in inner_starts(sequence) for t in tasks(spec, part, 0))]
+    first = [task for task in tasks(spec, sequence, max(starts.first)) if task.start in starts.first]
+    return [*first, *(task for part in inner_starts(sequence, starts) for task in tasks(spec, part, 0))]
 
 
-def figures(label: str, sequences: Iterable[Sequence], runs: Mapping[tuple[str, str, int], SequenceRun]) -> Figures:
+def figures(
+    label: str, sequences: Iterable[Sequence], runs: Mapping[tuple[str, str, int], SequenceRun], starts: Starts
+) -> Figures:
     """Of each sequence the mean over its starts."""
     means: dict[str, Pair] = {}
     for sequence in sequences:
-        starts = [(sequence.name, start, sequence.truth) for start in range(1 + JITTERED)]
-        starts += [(part.name, 0, part.truth) for part in inner_starts(sequence)]
-        scores = [score(runs[label, name, start].boxes, truth) for name, start, truth in starts]
+        begun = [(sequence.name, start, sequence.truth) for start in starts.first]
+        begun += [(part.name, 0, part.truth) for part in inner_starts(sequence, starts)]
+        scores = [score(runs[label, name, start].boxes, truth) for name, start, truth in begun]
         means[sequence.name] = mean_pair([(s.precision_20px, s.auc) for s in scores])
     return means
 
@@ -179,16 +193,16 @@ def authors(data: Path, sequences: list[Sequence], tracker: str) -> Figures:
 
 
 def measure(
-    labels: Iterable[str], sequences: list[Sequence], out: Path | None, jobs: int, dask: str | None
+    labels: Iterable[str], sequences: list[Sequence], starts: Starts, out: Path | None, jobs: int, dask: str | None
 ) -> dict[str, Figures]:
     """Run what is not in `out` yet."""
     specs = {(spec := TrackerSpec.parse(text)).label: spec for text in labels}
     for spec in specs.values():
         spec.check()
-    work = [task for spec in specs.values() for sequence in sequences for task in todo(spec, sequence)]
+    work = [task for spec in specs.values() for sequence in sequences for task in todo(spec, sequence, starts)]
     with bar(work) as progress:
         runs = run_all(work, jobs=jobs, folder=out, dask=dask, done=progress.done)
-    return {label: figures(label, sequences, runs) for label in specs}
+    return {label: figures(label, sequences, runs, starts) for label in specs}
 
 
 def table(measured: Mapping[str, Figures], against: Figures, name: str) -> str:
@@ -237,6 +251,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("out/study"), help="finished runs are kept here")
     parser.add_argument("--tracker", action="append", help="run only these, instead of the study's families")
     parser.add_argument("--against", default="arcf-hc", help="differences are taken from this tracker")
+    parser.add_argument("--other-starts", action="store_true", help="from seven starts besides the study's five")
     parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)))
     parser.add_argument("--dask", help="address of a running Dask scheduler")
     args = parser.parse_args()
@@ -248,7 +263,8 @@ def main() -> None:
         *PRESENTED, *(label for family in FAMILIES.values() for label in (family.default, *family.others)),
     ]  # fmt: skip
     labels = list(dict.fromkeys([args.against, *asked]))
-    measured = measure(labels, sequences, args.out, args.jobs, args.dask)
+    starts = OTHER_STARTS if args.other_starts else STARTS
+    measured = measure(labels, sequences, starts, args.out, args.jobs, args.dask)
     against = TrackerSpec.parse(args.against).label
     shown = {AUTHORS: authors(args.data, sequences, "RACF"), **measured}
     print(table(shown, measured[against], against))

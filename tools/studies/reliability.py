@@ -1,6 +1,7 @@
 """The reliability diagram of a tracker's confidence, on the study's twenty sequences from five starts each.
 
-    python -m tools.studies.reliability DATA [--tracker racf,robust] [--jobs N] [--dask ADDRESS] [--draw FILE.svg]
+    python -m tools.studies.reliability DATA [--tracker racf,robust] [--other-starts] [--draw FILE.svg]
+                                        [--jobs N] [--dask ADDRESS]
 
 DATA and the starts are those of `tools.studies.halves`.  Every frame after the first gives the confidence, the
 tracker's verdict (found or lost) and the overlap with the annotation.  A frame counts as on the target above an overlap
@@ -31,7 +32,7 @@ from racf.evaluate.runner import Task, warm_up
 from racf.evaluate.trackers import TrackerSpec
 from racf.parallel import each
 from racf.threads import one_core
-from tools.studies.halves import HALVES, inner_starts, read_halves, todo
+from tools.studies.halves import HALVES, OTHER_STARTS, STARTS, Starts, inner_starts, read_halves, todo
 
 ON_ABOVE = 0.3  # overlap: certainly on the target; as in docs/confidence.md
 BINS = np.round(np.arange(0.0, 1.01, 0.1), 1)
@@ -164,12 +165,12 @@ def text(by_sequence: Mapping[str, Frames]) -> str:
     return "\n".join([*lines, "", "false finds: " + ", ".join(f"{name} {false[name]}" for name in worst)])
 
 
-def measure(label: str, sequences: list[Sequence], jobs: int, dask: str | None) -> dict[str, Frames]:
+def measure(label: str, sequences: list[Sequence], starts: Starts, jobs: int, dask: str | None) -> dict[str, Frames]:
     """The frames of each sequence, of all its starts together."""
     spec = TrackerSpec.parse(label)
-    truth = {part.name: part.truth for s in sequences for part in (s, *inner_starts(s))}
-    sequence_of = {part.name: s.name for s in sequences for part in (s, *inner_starts(s))}
-    work = [task for sequence in sequences for task in todo(spec, sequence)]
+    truth = {part.name: part.truth for s in sequences for part in (s, *inner_starts(s, starts))}
+    sequence_of = {part.name: s.name for s in sequences for part in (s, *inner_starts(s, starts))}
+    work = [task for sequence in sequences for task in todo(spec, sequence, starts)]
     gathered: dict[str, dict[tuple[str, int], Frames]] = {s.name: {} for s in sequences}
     judge = partial(watch, truth=truth)
     answers = ((task, judge(task)) for task in work) if jobs == 1 and dask is None else each(judge, work, jobs, dask)
@@ -182,6 +183,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="The reliability diagram of a tracker's confidence.")
     parser.add_argument("data", type=Path)
     parser.add_argument("--tracker", default="racf,robust")
+    parser.add_argument("--other-starts", action="store_true", help="from seven starts besides the study's five")
     parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)))
     parser.add_argument("--dask", help="address of a running Dask scheduler")
     parser.add_argument("--draw", type=Path, help="draw the diagram into this .svg file")
@@ -190,7 +192,7 @@ def main() -> None:
         sequences = read_halves(args.data)
     except (OSError, ValueError) as error:
         parser.error(str(error))
-    by_sequence = measure(args.tracker, sequences, args.jobs, args.dask)
+    by_sequence = measure(args.tracker, sequences, OTHER_STARTS if args.other_starts else STARTS, args.jobs, args.dask)
     print(text(by_sequence))
     if args.draw:
         draw(Frames.joined(list(by_sequence.values())), args.draw, args.tracker)
