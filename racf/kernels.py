@@ -84,7 +84,8 @@ class Uninterrupted(event.Listener):
 
 
 def _is_ours(event: Any) -> bool:
-    return event.data["dispatcher"].py_func.__module__.startswith("racf.")
+    # A function that was made by exec, or at run time, may have no module: None.
+    return str(event.data["dispatcher"].py_func.__module__).startswith("racf.")
 
 
 _announcer = Announcer()

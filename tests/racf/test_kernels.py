@@ -65,6 +65,40 @@ def test_an_edit_of_another_kernels_file_leaves_no_stale_machine_code(tmp_path):
     assert features() != before
 
 
+def test_a_callers_own_kernel_that_has_no_module_compiles_unannounced(tmp_path):
+    """Listeners hear of every compilation in the process, and what `exec` makes may have no module."""
+    program = """
+import numba
+import racf.tracker
+names = {}
+exec("def twice(x): return 2 * x", names)
+assert names["twice"].__module__ is None or names["twice"].__module__ == "builtins"
+names["twice"].__module__ = None
+print(numba.njit(names["twice"])(3))
+"""
+    run = fresh_process(program, tmp_path)
+    assert (run.stdout, run.stderr) == ("6\n", "")
+
+
+FAILED = """
+import gc
+import racf.tracker
+from racf.kernels import compiled
+def nonsense(x): return x.nonsense
+nonsense.__module__ = "racf.nonsense"
+for collecting in (True, False):
+    gc.enable() if collecting else gc.disable()
+    try:
+        compiled(nonsense)(1.0)
+    except Exception as error:
+        print(type(error).__name__, gc.isenabled() == collecting)
+"""
+
+
+def test_garbage_collection_is_as_it_was_after_a_kernel_that_does_not_compile(tmp_path):
+    assert fresh_process(FAILED, tmp_path).stdout == "TypingError True\n" * 2
+
+
 UNCACHED = """
 import numpy as np
 from racf import Box, Racf
