@@ -4,6 +4,7 @@ import importlib
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import active_children, get_context
 from typing import Any, TypeVar
 
@@ -20,7 +21,7 @@ def each(
     """Each job with its answer, in the order they finish; by default one process for each core.
 
     `dask` is the address of a scheduler to run on instead; its workers need the same version of the program.  Raises
-    ValueError without Dask, OSError if the scheduler does not answer.
+    ValueError without Dask, OSError if the scheduler does not answer, ChildProcessError if a process dies.
 
     The first error cancels the jobs that have not begun.  An interruption, or a caller who stops iterating, also ends
     those that have.
@@ -30,6 +31,18 @@ def each(
     if dask is not None:
         yield from _on_dask(work, jobs, dask)
         return
+    try:
+        yield from _in_processes(work, jobs, processes)
+    except BrokenProcessPool:
+        raise ChildProcessError(
+            "a process ended before its work was done: in a program of your own, call this below "
+            'if __name__ == "__main__": or with one job at a time; otherwise memory may be short, and fewer jobs help'
+        ) from None
+
+
+def _in_processes(
+    work: Callable[[JobT], AnswerT], jobs: Sequence[JobT], processes: int | None
+) -> Iterator[tuple[JobT, AnswerT]]:
     os.environ.update(ONE_THREAD)
     others = active_children()
     # Spawned, not forked: a fork would copy the progress bar's thread and OpenCV's locks in an unknown state.

@@ -113,8 +113,8 @@ def evaluate(
     table, sweep: lay the results out as this table of the paper, 2 to 5, over these iterations and weights.
     out: folder for boxes, tables and plots; a later call with the same `out` goes on from the boxes there.
     images: with out, draw all boxes on frames of this number of sequences, those that tell the trackers apart most.
-    jobs: processes (0: one for each core).  dask: address of a Dask scheduler to run on instead.
-    progress: show a bar on standard error.  notify: gets a line for each thing left out; None: printed.
+    jobs: processes (0: one for each core; unless 1, a script calls this below `if __name__ == "__main__":`).
+    dask: address of a scheduler to run on.  progress: bar on standard error.  notify: gets what is left out, in lines.
     Paired differences are to the first tracker.  Raises ValueError for wrong arguments before anything runs.
     """
     root, folder = directory("root", root), None if out is None or out == "" else directory("out", out)

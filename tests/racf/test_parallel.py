@@ -1,8 +1,11 @@
 """Independent jobs in several processes."""
 
+import os
 import time
 from multiprocessing import active_children
 from pathlib import Path
+
+import pytest
 
 from racf.parallel import each
 
@@ -29,3 +32,13 @@ def test_a_caller_who_goes_away_ends_the_work_that_has_begun(tmp_path):
     assert quick.exists()
     assert not slow.exists()
     assert not active_children()
+
+
+def die(_: int) -> None:
+    """End the process at once, as the kernel does when memory is short."""
+    os._exit(1)
+
+
+def test_a_process_that_dies_is_told_with_what_to_do():
+    with pytest.raises(ChildProcessError, match="__main__"):
+        list(each(die, [1, 2], 1))
