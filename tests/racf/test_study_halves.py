@@ -96,6 +96,15 @@ def test_a_study_reads_the_runs_that_it_left(twenty, tmp_path, capsys, monkeypat
     assert printed(capsys, monkeypatch, *asked) != first
 
 
+@pytest.mark.parametrize(
+    ("wrong", "told"), [(("--tracker", "racff"), "'racff' is not known"), (("--jobs", -1), "--jobs is at least 0")]
+)
+def test_wrong_arguments_are_told_in_one_line_before_anything_runs(twenty, capsys, monkeypatch, wrong, told):
+    with pytest.raises(SystemExit):
+        printed(capsys, monkeypatch, twenty, "--other-starts", *wrong)
+    assert told in capsys.readouterr().err.splitlines()[-1]
+
+
 @pytest.mark.filterwarnings("default")  # of the cluster's own libraries
 def test_a_study_has_the_same_figures_on_a_dask_cluster(twenty, tmp_path, capsys, monkeypatch):
     distributed = pytest.importorskip("distributed", reason="distributed (the extra dask) is missing")

@@ -252,19 +252,24 @@ def main() -> None:
     parser.add_argument("--tracker", action="append", help="run only these, instead of the study's families")
     parser.add_argument("--against", default="arcf-hc", help="differences are taken from this tracker")
     parser.add_argument("--other-starts", action="store_true", help="from seven starts besides the study's five")
-    parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)))
+    parser.add_argument("--jobs", type=int, default=0, help="number of processes; 0: one for each core")
     parser.add_argument("--dask", help="address of a running Dask scheduler")
     args = parser.parse_args()
-    try:
-        sequences = read_halves(args.data)
-    except (OSError, ValueError) as error:
-        parser.error(str(error))
     asked = args.tracker or [
         *PRESENTED, *(label for family in FAMILIES.values() for label in (family.default, *family.others)),
     ]  # fmt: skip
     labels = list(dict.fromkeys([args.against, *asked]))
     starts = OTHER_STARTS if args.other_starts else STARTS
-    measured = measure(labels, sequences, starts, args.out, args.jobs, args.dask)
+    if args.jobs < 0:
+        parser.error(f"--jobs is at least 0, not {args.jobs}")
+    try:
+        sequences = read_halves(args.data)
+        for label in labels:
+            TrackerSpec.parse(label).check()
+    except (OSError, ValueError) as error:
+        parser.error(str(error))
+    jobs = args.jobs or len(os.sched_getaffinity(0))
+    measured = measure(labels, sequences, starts, args.out, jobs, args.dask)
     against = TrackerSpec.parse(args.against).label
     shown = {AUTHORS: authors(args.data, sequences, "RACF"), **measured}
     print(table(shown, measured[against], against))
