@@ -22,6 +22,8 @@ from starlette.responses import FileResponse, HTMLResponse, JSONResponse, PlainT
 from starlette.routing import Route, WebSocketRoute
 from typing_extensions import Self
 from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+from websockets.frames import Frame
 
 from follow.messages import Notify
 from follow.operator.page.door import Door, PageAddress, Refusal, require_token
@@ -34,6 +36,12 @@ CLOSE_S = 3.0  # for the thread to end
 CONNECTIONS = 64  # at a time; a window has one, a browser opens a few more for files
 CONNECTIONS_OF_ONE = 32  # of one address: whoever opens more, without a token also, must not keep the others out
 REQUEST_S = 5.0  # in which a new connection makes its request
+BYTES_PER_S = 128_000  # from a window; 20 images, 5 taps and a sign of life a second are 2 kB
+BYTES_AT_ONCE = 64_000  # what waited in a network that hung arrives in one piece; as pings it takes some 40 ms
+MESSAGE_BYTES = 32  # that a message costs besides its own
+FRAGMENTS = 64  # of a message; a browser sends one of this size whole
+FLOOD = "too many bytes or messages"
+FLOOD_CLOSE_S = 0.5  # for the reason to arrive
 SERVER_LOG = logging.getLogger("uvicorn")
 HTML = Path(__file__).with_name("page.html")
 REPORTS_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox"
@@ -178,6 +186,49 @@ class BoundedHttp(H11Protocol):
             self.transport.abort()
 
 
+class BoundedWebSocket(WebSocketsSansIOProtocol):
+    """WebSocket of one window, which is closed if it sends far more than the page does.
+
+    Pings, pongs and fragments never reach the window's own reader, and are parsed under the interpreter lock that the
+    control loop needs.  A frame from a window has 6 bytes at least, so that the budget of bytes bounds the frames.
+    """
+
+    _left, _left_s = float(BYTES_AT_ONCE), 0.0
+    _is_flooded = False
+
+    def data_received(self, data: bytes) -> None:
+        """Read what came, if the budget holds it; else it is not even parsed."""
+        now_s = self.loop.time()
+        self._left = min(self._left + BYTES_PER_S * (now_s - self._left_s), BYTES_AT_ONCE)
+        self._left_s = now_s
+        if self._pays(len(data)):
+            super().data_received(data)
+
+    def send_receive_event_to_app(self) -> None:
+        """Pass one message on, for its price."""
+        if self._pays(MESSAGE_BYTES):
+            super().send_receive_event_to_app()
+
+    def handle_cont(self, event: Frame) -> None:
+        """Add a fragment to a message that does not have too many: empty ones would only cost memory."""
+        if self._pays(0 if len(self.frames) < FRAGMENTS else BYTES_AT_ONCE):
+            super().handle_cont(event)
+
+    def _pays(self, cost: int) -> bool:
+        """Take it from the budget; a window that cannot pay is told why, is read no more, and is cut off soon."""
+        self._left -= cost
+        if self._left < 0.0 and not self._is_flooded:
+            self._is_flooded = True
+            self.logger.error(f"{peer_of(self)} sent {FLOOD} and was cut off")
+            self.conn.fail(1008, FLOOD)
+            self.transport.write(b"".join(self.conn.data_to_send()))
+            self.queue.put_nowait({"type": "websocket.disconnect", "code": 1008})
+            self.close_sent, self.read_paused = True, False  # or the reader of the queue would read on
+            self.transport.pause_reading()
+            self.close_timer = self.loop.call_later(FLOOD_CLOSE_S, self.transport.abort)
+        return not self._is_flooded
+
+
 def peer_of(connection: object) -> str:
     """The address at the other end of a connection."""
     transport = cast("asyncio.Transport | None", getattr(connection, "transport", None))
@@ -224,7 +275,7 @@ class PageServer:
             access_log=False,
             lifespan="off",
             http=BoundedHttp,
-            ws="websockets-sansio",
+            ws=BoundedWebSocket,
             ws_max_size=LARGEST_MESSAGE,
             ws_per_message_deflate=False,
             ws_ping_interval=5.0,

@@ -32,7 +32,6 @@ LARGEST_MESSAGE = 2048  # bytes from a window
 WINDOWS = 24  # open at a time
 KNOWN_WINDOWS = 200  # whose numbers are kept, so that one that reconnects keeps its name and the command
 ACTS_PER_S, BURST = 10.0, 20.0  # taken from a window; a thumb presses 5 a second
-MESSAGES_PER_S = 2000  # a window that sends more is closed
 HELLO_S = 5.0
 HEARD_S = 1.0
 CLOSE_S = 0.5  # for a connection that may be dead
@@ -56,8 +55,6 @@ class PageWindow:
     budget: float = BURST
     budget_s: float = 0.0
     heard_s: float = 0.0
-    second_s: float = 0.0
-    messages: int = 0  # in this second
 
     def may_act(self, now_s: float) -> bool:
         """Whether one more act is taken from it now."""
@@ -67,13 +64,6 @@ class PageWindow:
             return False
         self.budget -= 1.0
         return True
-
-    def floods(self, now_s: float) -> bool:
-        """Count a message; whether it sends far too many."""
-        if now_s - self.second_s > 1.0:
-            self.second_s, self.messages = now_s, 0
-        self.messages += 1
-        return self.messages > MESSAGES_PER_S
 
 
 class Windows:
@@ -159,10 +149,6 @@ class Windows:
             if message["type"] != "websocket.receive":
                 return
             now_s = time.monotonic()
-            if window.floods(now_s):
-                with contextlib.suppress(*Closed):
-                    await window.socket.close(1008, "too many messages")
-                return
             try:
                 act = read_act(message.get("text") or "", window.name)
             except ValueError as error:
