@@ -19,6 +19,7 @@ from sim.autopilot.system import AutopilotSystem
 from sim.dynamics import Vehicle, VehicleTruth
 from tests.support.camera_client import CameraClient
 from tests.support.real_flight import free_ports, until
+from tests.test_examples import example
 
 SIZE = (640, 360)
 STREAM = StreamDescription("5600", True, 30.0, SIZE, 2_000_000, 70.0)
@@ -106,3 +107,20 @@ def test_a_refusal_reaches_it_with_its_reason():
         with pytest.raises(CameraError):
             client.track(0.25, 0.5, 0.375, 0.75)
         until("told why", lambda: any("nothing to hold on to" in text for text in client.texts))
+
+
+def test_the_example_chooses_reads_what_is_tracked_and_stops(capsys):
+    module = example("select_with_mavsdk")
+    with flying("direct") as (tracked, port):
+        url = f"udpout://127.0.0.1:{port}"
+        assert module.main(url, (0.25, 0.5, 0.375, 0.75), 1.0) > 0
+        assert "tracked 0.250 0.500 0.375 0.750" in capsys.readouterr().out
+        selection, cleared = tracked.chosen
+        assert (selection.left, selection.top, selection.width, selection.height) == (0.25, 0.5, 0.125, 0.25)
+        assert not isinstance(cleared, Selection)
+        tracked.why = "nothing to hold on to"
+        with pytest.raises(module.CameraError):
+            module.main(url, (0.5, 0.5), 1.0)
+        assert tracked.chosen[2].is_point
+        assert len(tracked.chosen) == 3, "who was refused stops nobody else's flight"
+        assert tracked.why in capsys.readouterr().out
