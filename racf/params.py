@@ -27,6 +27,9 @@ AT_MOST = {
 }  # fmt: skip
 """Far beyond what any tracker uses: more would take the memory, or a frame without end."""
 
+# Settings whose least value follows from another one.
+_FROM = {"sample_min_px": " (4 cell_px)", "sample_max_px": " (sample_min_px)", "scale_model_area_px": " (4 cell_px²)"}
+
 
 @dataclass(frozen=True, slots=True)
 class Params:
@@ -140,7 +143,7 @@ class Params:
         }  # fmt: skip
         for name, least in at_least.items():
             if getattr(self, name) < least:
-                raise ValueError(f"{name} is at least {least}, not {getattr(self, name)}")
+                raise ValueError(f"{name} is at least {least}{_FROM.get(name, '')}, not {getattr(self, name)}")
 
     def robust(self, on: bool = True) -> Self:
         """A copy with the five switches of `ROBUST`, which a follower needs, all on (or all off)."""

@@ -96,6 +96,20 @@ def test_a_setting_that_would_take_the_memory_or_never_end_is_refused(name):
         Racf(f"racf,{name}={100 * most}")
 
 
+@pytest.mark.parametrize(
+    ("wrong", "told"),
+    [
+        ("sample_max_px=100", r"sample_max_px is at least 150 \(sample_min_px\), not 100"),
+        ("sample_min_px=16,cell_px=8", r"sample_min_px is at least 32 \(4 cell_px\), not 16"),
+        ("scale_model_area_px=10", r"scale_model_area_px is at least 64 \(4 cell_px²\), not 10"),
+        ("scales=2", "scales is at least 3, not 2"),
+    ],
+)
+def test_a_setting_below_its_least_value_is_told_with_what_that_follows_from(wrong, told):
+    with pytest.raises(ValueError, match=told):
+        Racf(f"racf,{wrong}")
+
+
 def test_robust_is_a_word_for_its_switches():
     assert all(getattr(preset("racf,robust"), name) for name in ROBUST)
     assert not any(getattr(params, name) for name in ROBUST for params in PRESETS.values())
