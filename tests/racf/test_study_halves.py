@@ -9,7 +9,7 @@ import pytest
 import tests.support.rendered_benchmarks as rendered
 from racf.evaluate.benchmarks import Sequence
 from racf.evaluate.trackers import TrackerSpec
-from tools.studies import halves
+from tools.studies import authors, confidence, halves, other_starts, reliability
 from tools.studies.halves import AUTHORS, HALVES, OTHER_STARTS, STARTS, difference, inner_starts, main, over, two_fold
 
 EVERY = [*HALVES["A"], *HALVES["B"]]
@@ -97,12 +97,21 @@ def test_a_study_reads_the_runs_that_it_left(twenty, tmp_path, capsys, monkeypat
 
 
 @pytest.mark.parametrize(
-    ("wrong", "told"), [(("--tracker", "racff"), "'racff' is not known"), (("--jobs", -1), "--jobs is at least 0")]
+    ("wrong", "told"),
+    [(("--tracker", "racff"), "'racff' is not known"), (("--jobs", -1), "--jobs: a whole number of at least 0")],
 )
 def test_wrong_arguments_are_told_in_one_line_before_anything_runs(twenty, capsys, monkeypatch, wrong, told):
     with pytest.raises(SystemExit):
         printed(capsys, monkeypatch, twenty, "--other-starts", *wrong)
     assert told in capsys.readouterr().err.splitlines()[-1]
+
+
+@pytest.mark.parametrize("study", [authors, confidence, other_starts, reliability])
+def test_a_wrong_tracker_is_told_in_one_line_by_every_study(study, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["study", str(tmp_path), "--tracker", "racff"])
+    with pytest.raises(SystemExit):
+        study.main()
+    assert "'racff' is not known" in capsys.readouterr().err.splitlines()[-1]
 
 
 @pytest.mark.filterwarnings("default")  # of the cluster's own libraries

@@ -29,7 +29,7 @@ from racf.evaluate.stored import read_stored
 from racf.params import Params, preset
 from racf.threads import one_core
 from racf.translation import TranslationFilter
-from tools.studies.halves import HALVES, read_halves
+from tools.studies.halves import HALVES, read_halves, tracker_label
 
 LEAST_CELL_PX = 4.0  # below it the rounding of stored boxes to pixels hides a cell's fraction
 MOVED_CELLS, NEAR_CELLS = 0.6, 0.15
@@ -85,7 +85,7 @@ def main() -> None:
     one_core()
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", type=Path)
-    parser.add_argument("--tracker", action="append", default=None)
+    parser.add_argument("--tracker", type=tracker_label, action="append", default=None)
     parser.add_argument("--only", action="append", help="use only this sequence for the agreement; several times")
     parser.add_argument("--other", default="ARCF-HC", help="stored boxes of a tracker that interpolates")
     args = parser.parse_args()

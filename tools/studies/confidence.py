@@ -29,6 +29,7 @@ from racf.evaluate.trackers import TrackerSpec
 from racf.threads import one_core
 from racf.track import Track
 from racf.tracker import Racf
+from tools.studies.halves import tracker_label
 
 CONFIG = TargetConfig()
 ON, OFF = 0.3, 0.1  # overlaps: certainly on the target; certainly not
@@ -115,7 +116,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("data", type=Path)
     parser.add_argument("--frames", type=int, default=300)
-    parser.add_argument("--tracker", default="racf,robust,redetect=false")
+    parser.add_argument("--tracker", type=tracker_label, default="racf,robust,redetect=false")
     parser.add_argument("--out", type=Path, default=Path("docs/confidence.png"))
     args = parser.parse_args()
     ratios = Ratios()

@@ -245,14 +245,32 @@ def claims(measured: Mapping[str, Figures]) -> str:
     return "\n".join(lines)
 
 
+def tracker_label(label: str) -> str:
+    """A tracker's label, for argparse; refused in one line if there is no such tracker."""
+    try:
+        TrackerSpec.parse(label).check()
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+    return label
+
+
+def processes(text: str) -> int:
+    """A number of processes, for argparse; 0 is one for each core."""
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"a whole number of at least 0, not {text!r}")
+    return int(text) or len(os.sched_getaffinity(0))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("data", type=Path)
     parser.add_argument("--out", type=Path, default=Path("out/study"), help="finished runs are kept here")
-    parser.add_argument("--tracker", action="append", help="run only these, instead of the study's families")
-    parser.add_argument("--against", default="arcf-hc", help="differences are taken from this tracker")
+    parser.add_argument(
+        "--tracker", type=tracker_label, action="append", help="run only these, instead of the study's families"
+    )
+    parser.add_argument("--against", type=tracker_label, default="arcf-hc", help="differences are to this tracker")
     parser.add_argument("--other-starts", action="store_true", help="from seven starts besides the study's five")
-    parser.add_argument("--jobs", type=int, default=0, help="number of processes; 0: one for each core")
+    parser.add_argument("--jobs", type=processes, default="0", help="number of processes; 0: one for each core")
     parser.add_argument("--dask", help="address of a running Dask scheduler")
     args = parser.parse_args()
     asked = args.tracker or [
@@ -260,16 +278,11 @@ def main() -> None:
     ]  # fmt: skip
     labels = list(dict.fromkeys([args.against, *asked]))
     starts = OTHER_STARTS if args.other_starts else STARTS
-    if args.jobs < 0:
-        parser.error(f"--jobs is at least 0, not {args.jobs}")
     try:
         sequences = read_halves(args.data)
-        for label in labels:
-            TrackerSpec.parse(label).check()
     except (OSError, ValueError) as error:
         parser.error(str(error))
-    jobs = args.jobs or len(os.sched_getaffinity(0))
-    measured = measure(labels, sequences, starts, args.out, jobs, args.dask)
+    measured = measure(labels, sequences, starts, args.out, args.jobs, args.dask)
     against = TrackerSpec.parse(args.against).label
     shown = {AUTHORS: authors(args.data, sequences, "RACF"), **measured}
     print(table(shown, measured[against], against))

@@ -20,6 +20,7 @@ from racf.evaluate.metrics import Convention, score
 from racf.evaluate.progress import bar
 from racf.evaluate.runner import run_all, tasks
 from racf.evaluate.trackers import TrackerSpec
+from tools.studies.halves import tracker_label
 
 
 def parts(sequence: Sequence) -> Iterator[Sequence]:
@@ -45,7 +46,7 @@ def parts(sequence: Sequence) -> Iterator[Sequence]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("data", type=Path)
-    parser.add_argument("--tracker", action="append", default=None)
+    parser.add_argument("--tracker", type=tracker_label, action="append", default=None)
     parser.add_argument("--jitter", type=int, default=2)
     args = parser.parse_args()
     specs = [TrackerSpec.parse(name) for name in args.tracker or ["racf"]]

@@ -13,7 +13,6 @@ sequences with false finds.
 """
 
 import argparse
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -32,7 +31,17 @@ from racf.evaluate.runner import Task, warm_up
 from racf.evaluate.trackers import TrackerSpec
 from racf.parallel import each
 from racf.threads import one_core
-from tools.studies.halves import HALVES, OTHER_STARTS, STARTS, Starts, inner_starts, read_halves, todo
+from tools.studies.halves import (
+    HALVES,
+    OTHER_STARTS,
+    STARTS,
+    Starts,
+    inner_starts,
+    processes,
+    read_halves,
+    todo,
+    tracker_label,
+)
 
 ON_ABOVE = 0.3  # overlap: certainly on the target; as in docs/confidence.md
 BINS = np.round(np.arange(0.0, 1.01, 0.1), 1)
@@ -182,9 +191,9 @@ def measure(label: str, sequences: list[Sequence], starts: Starts, jobs: int, da
 def main() -> None:
     parser = argparse.ArgumentParser(description="The reliability diagram of a tracker's confidence.")
     parser.add_argument("data", type=Path)
-    parser.add_argument("--tracker", default="racf,robust")
+    parser.add_argument("--tracker", type=tracker_label, default="racf,robust")
     parser.add_argument("--other-starts", action="store_true", help="from seven starts besides the study's five")
-    parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)))
+    parser.add_argument("--jobs", type=processes, default="0", help="number of processes; 0: one for each core")
     parser.add_argument("--dask", help="address of a running Dask scheduler")
     parser.add_argument("--draw", type=Path, help="draw the diagram into this .svg file")
     args = parser.parse_args()
