@@ -1,6 +1,7 @@
 """What the speed measurement must be to be fair: same images, turn by turn, ratios within a sequence."""
 
 from itertools import pairwise, permutations
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -9,6 +10,7 @@ import tests.support.rendered_benchmarks as rendered
 from racf.box import Box
 from racf.evaluate import cost, roofline, speed
 from racf.evaluate.benchmarks import read_benchmark
+from racf.evaluate.figures import BenchFigures, CostFigures, SpeedFigures
 from racf.evaluate.speed import Clip, Lap
 from racf.evaluate.trackers import TrackerSpec
 from racf.params import preset
@@ -128,3 +130,10 @@ def test_a_core_does_more_than_a_billion_operations_and_less_than_a_trillion():
     measured = roofline.machine()
     assert 1e9 < measured.flops_s < 1e13  # a product may use every core here; the command gives it one
     assert 1e8 < measured.bytes_s < 1e12
+
+
+def test_the_documentation_names_every_figure_that_racf_bench_prints_as_json():
+    page = (Path(__file__).parents[2] / "docs" / "evaluation.md").read_text()
+    (described,) = (part for part in page.split("`") if part.startswith('{"tracker": {name: {"fps", "ms"'))
+    for figures in (BenchFigures, SpeedFigures, CostFigures):
+        assert [name for name in figures.__annotations__ if f'"{name}"' not in described] == []
