@@ -13,6 +13,7 @@ from follow.messages import Notify
 
 LIGHT = 20_000  # waiting rounds: ten minutes at 30 rounds/s, some 60 MB
 CLOSE_S = 60.0  # maximum wait at the end for a disk or a viewer that does not answer
+QUIET_S = 3.0  # of waiting at the end before it is told what is waited for
 
 
 class Sink(Protocol):
@@ -50,7 +51,7 @@ class Worker(Generic[SinkT]):
     def put(self, act: Callable[[SinkT], None], heavy: Callable[[SinkT], None] | None = None) -> None:
         """Queue what is to be done to the sink; `heavy` may be dropped earlier."""
         with self._change:
-            if self._waits:
+            if self._waits and not self._closing:
                 self._change.wait_for(self._has_room)
             if self._ended:
                 return
@@ -66,11 +67,17 @@ class Worker(Generic[SinkT]):
             self._change.notify_all()
 
     def close(self, timeout_s: float = CLOSE_S) -> None:
-        """Write what is still queued; reports it if that takes longer than `timeout_s`."""
+        """Write what is still queued; reports that it takes long, and if it is given up after `timeout_s`."""
         with self._change:
             self._closing = True
             self._change.notify_all()
-        self._thread.join(timeout_s)
+        quiet_s = QUIET_S if timeout_s > 2 * QUIET_S else timeout_s
+        self._thread.join(quiet_s)
+        if self._thread.is_alive() and (rest_s := timeout_s - quiet_s) > 0:
+            self._report(
+                f"{self.name} is not written yet: waiting up to {rest_s:g} s; Ctrl-C again leaves without its end"
+            )
+            self._thread.join(rest_s)
         if self._thread.is_alive():
             self._report(f"{self.name} is not finished: no answer within {timeout_s:g} s")
 

@@ -1,5 +1,6 @@
 import threading
 
+from follow.recording import worker as workers
 from follow.recording.worker import Worker
 
 
@@ -35,3 +36,36 @@ def test_the_report_of_a_full_disk_may_be_put_into_the_worker_that_ended():
     worker.close(timeout_s=10.0)
     assert said == ["no space left"]
     assert (worker.lost, worker.dropped) == (1, 1)
+
+
+class Slow:
+    """A sink that is written only once `told` is set."""
+
+    def __init__(self, told):
+        self.told = told
+
+    def close(self):
+        assert self.told.wait(10.0)
+
+
+def test_a_long_wait_at_the_end_is_told_before_it_is_over(monkeypatch):
+    """A pilot who left must know that it waits for the disk, not for the vehicle; and the line waits for no lane."""
+    monkeypatch.setattr(workers, "QUIET_S", 0.05)
+    told, said = threading.Event(), []
+
+    def report(text):
+        said.append(text)
+        worker.put(lambda sink: None, heavy=lambda sink: None)
+        worker.put(lambda sink: None, heavy=lambda sink: None)  # the lane of one is full, and the thread is in `close`
+        told.set()
+
+    worker = Worker("flight.rrd", lambda: Slow(told), report, heavy=1, waits=True)
+    worker.close(timeout_s=10.05)
+    assert said == ["flight.rrd is not written yet: waiting up to 10 s; Ctrl-C again leaves without its end"]
+
+
+def test_a_worker_that_ends_at_once_says_nothing():
+    told, said = threading.Event(), []
+    told.set()
+    Worker("flight.rrd", lambda: Slow(told), said.append, heavy=1, waits=False).close()
+    assert said == []

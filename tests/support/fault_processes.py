@@ -166,7 +166,8 @@ def disk_full(real: Real) -> Judged:
     wrong = still_following(real, 3.0)
     if not full:
         wrong.append("it did not say that the recording ended")
-    status = real.application.end()
+    # A flush during which Rerun's file breaks is never answered: it is given up after a minute (FLUSH_TIMEOUT_S).
+    status = real.application.end(seconds=75.0)
     return wrong + ([f"exit status {status}"] if status else []), "flew on"
 
 
