@@ -51,7 +51,7 @@ class Worker(Generic[SinkT]):
     def put(self, act: Callable[[SinkT], None], heavy: Callable[[SinkT], None] | None = None) -> None:
         """Queue what is to be done to the sink; `heavy` may be dropped earlier."""
         with self._change:
-            if self._waits and not self._closing:
+            if self._waits and not self._closing:  # what is reported at the end must not wait for a place
                 self._change.wait_for(self._has_room)
             if self._ended:
                 return
@@ -75,7 +75,7 @@ class Worker(Generic[SinkT]):
         self._thread.join(quiet_s)
         if self._thread.is_alive() and (rest_s := timeout_s - quiet_s) > 0:
             self._report(
-                f"{self.name} is not written yet: waiting up to {rest_s:g} s; Ctrl-C again leaves without its end"
+                f"{self.name} is not written yet: waiting up to {rest_s:g} s; Ctrl-C leaves now, without its end"
             )
             self._thread.join(rest_s)
         if self._thread.is_alive():

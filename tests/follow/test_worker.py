@@ -61,7 +61,7 @@ def test_a_long_wait_at_the_end_is_told_before_it_is_over(monkeypatch):
 
     worker = Worker("flight.rrd", lambda: Slow(told), report, heavy=1, waits=True)
     worker.close(timeout_s=10.05)
-    assert said == ["flight.rrd is not written yet: waiting up to 10 s; Ctrl-C again leaves without its end"]
+    assert said == ["flight.rrd is not written yet: waiting up to 10 s; Ctrl-C leaves now, without its end"]
 
 
 def test_a_worker_that_ends_at_once_says_nothing():
