@@ -21,6 +21,11 @@ class Verdict(Enum):
     LOST = "lost"
 
 
+def ramp(confidence: float, low: float, high: float) -> float:
+    """How far a confidence has come from `low` to `high`, 0..1; 1 from `high` on, also where both are one."""
+    return 1.0 if confidence >= high else max((confidence - low) / (high - low), 0.0)
+
+
 class Confidence:
     """Running means of PSR and peak, and the verdicts that follow from them.
 

@@ -83,7 +83,9 @@ class Params:
     refine_min_target_px: float = 20.0  # smaller targets are too few pixels to segment [measured]
 
     # What a follower needs and the paper lacks: five switches (`robust` means all five) and their numbers
-    gate_learning: bool = False  # learn, estimate scale and refine only in frames whose response is clear
+    # Learn, estimate scale and refine only in frames whose response is clear, and a clear frame with a share of the
+    # learning rate: none at the confidence learn_above, all of it at 1 [measured].
+    gate_learning: bool = False
     strict_refine: bool = False  # a segment must overlap the tracker's box by more than strict_iou
     predict_motion: bool = False  # search where the target's smoothed motion predicts it
     coast: bool = False  # a lost target's box follows the prediction, not the response

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from racf import kernels
 from racf.box import Box
-from racf.confidence import Confidence, Verdict
+from racf.confidence import Confidence, Verdict, ramp
 from racf.motion import Velocity
 from racf.params import Params, preset
 from racf.redetect import Redetection
@@ -101,7 +101,7 @@ class Racf:
         refinement = self._refine(image) if trusted else None
         clock.lap("refine")
         if trusted:
-            self._filter.learn(image, self._box)
+            self._filter.learn(image, self._box, self._belief(match))
             clock.lap("learn filter")
             self._scale.learn(image, self._box)
             clock.lap("learn scale")
@@ -148,11 +148,16 @@ class Racf:
         params = self.params
         if verdict is not Verdict.DOUBTFUL or not params.predict_motion:
             return match.box
-        ratio = self._confidence.ratio(match.psr, match.value)
-        doubtful = max(params.learn_above - params.lost_below, 1e-9)
-        weight = min(max((ratio - params.lost_below) / doubtful, 0.0), 1.0)
+        weight = ramp(self._confidence.ratio(match.psr, match.value), params.lost_below, params.learn_above)
         dx, dy = match.box.centre_x - expected.centre_x, match.box.centre_y - expected.centre_y
         return expected.moved(weight * dx, weight * dy)
+
+    def _belief(self, match: Match) -> float:
+        """The share of the learning rate with which this frame is learned: what half hides a target is sharp enough to
+        pass the gate for a second and more."""
+        if not self.params.gate_learning:
+            return 1.0
+        return ramp(self._confidence.ratio(match.psr, match.value), self.params.learn_above, 1.0)
 
     def _kept_inside(self, box: Box) -> Box:
         """The box with its centre kept in the image and its sides between 2 px and the image's."""

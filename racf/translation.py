@@ -98,15 +98,15 @@ class TranslationFilter:
         response /= np.float32(self._self_response)
         return Match(box.moved(dx * per_cell, dy * per_cell), response, float(response[row, col]), psr, apce)
 
-    def learn(self, image: UInt8, box: Box) -> None:
-        """Take the target at `box` into the model and learn the filter again."""
+    def learn(self, image: UInt8, box: Box, belief: float = 1.0) -> None:
+        """Take the target at `box` into the model, with a share of the learning rate, and learn the filter again."""
         params, residue_f = self.params, self._residue_f
         sample_f = self._sample_to_learn(image, box)
         model_f = self._model_f
         if model_f is None:
             model_f = self._model_f = sample_f.copy()
         else:
-            approach(model_f, sample_f, residue_f, np.float32(params.learning_rate))
+            approach(model_f, sample_f, residue_f, np.float32(belief * params.learning_rate))
         if not params.residue_to_model:
             if self._learned_f is not None:
                 np.subtract(sample_f, self._learned_f, out=residue_f)
