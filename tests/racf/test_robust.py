@@ -142,6 +142,40 @@ def test_nothing_is_learned_while_the_target_is_hidden():
     np.testing.assert_equal(tracker._filter._solver.learned.filter, learned.filter)
 
 
+@pytest.mark.parametrize("belief", [0.0, 0.25, 0.5])
+def test_a_clear_frame_is_learned_the_more_the_more_it_is_believed(belief, monkeypatch):
+    def learned(believed: float) -> np.ndarray:
+        tracker = settled()
+        before = tracker._filter._model_f.copy()
+        ratio = ROBUST.learn_above + believed * (1 - ROBUST.learn_above)
+        monkeypatch.setattr(tracker._confidence, "ratio", lambda psr, value: ratio)
+        assert tracker.update(image(67, 100)).found
+        return tracker._filter._model_f - before
+
+    whole = learned(1.0)
+    assert np.abs(whole).max() > 0
+    np.testing.assert_allclose(learned(belief), belief * whole, atol=1e-4 * np.abs(whole).max())
+
+
+@pytest.mark.parametrize("speed_px", [0.6, 2.0])
+@pytest.mark.parametrize("seed", range(3))
+def test_what_slowly_hides_a_target_is_not_taken_for_it(speed_px, seed):
+    """A wall passes over a standing target, 2 to 6 % of its side in each frame."""
+    wall = np.random.default_rng(seed).integers(0, 256, WALL.shape, dtype=np.uint8)
+    wall = cv2.GaussianBlur(wall, (0, 0), 1 + seed)
+    tracker, there = Racf(ROBUST), box(200, 100)
+    tracker.init(image(200, 100), there)
+    for _ in range(25):
+        tracker.update(image(200, 100))
+    for left in np.arange(105, 300, speed_px).round().astype(int):
+        scene = image(200, 100)
+        scene[:, left : left + 90] = wall
+        track = tracker.update(scene)
+        assert not track.found or track.box.iou(there) > 0
+    assert track.found
+    assert track.box.iou(there) > 0.7
+
+
 def test_a_target_that_reappears_elsewhere_is_found_again():
     tracker = settled()
     for _ in range(10):

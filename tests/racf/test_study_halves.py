@@ -9,8 +9,8 @@ import pytest
 import tests.support.rendered_benchmarks as rendered
 from racf.evaluate.benchmarks import Sequence
 from racf.evaluate.trackers import TrackerSpec
-from tools.studies import authors, confidence, halves, other_starts, reliability
-from tools.studies.halves import AUTHORS, HALVES, OTHER_STARTS, STARTS, difference, inner_starts, main, over, two_fold
+from tools.studies import authors, confidence, halves, occlusions, other_starts, reliability
+from tools.studies.halves import AUTHORS, HALVES, STARTS, difference, inner_starts, main, over, two_fold
 
 EVERY = [*HALVES["A"], *HALVES["B"]]
 
@@ -51,22 +51,25 @@ def test_inner_starts_begin_where_the_target_is_annotated() -> None:
     truth[8:14] = np.nan
     truth[20] = 0.0
     sequence = Sequence("walk", "made", truth, attributes=())
-    parts = list(inner_starts(sequence, STARTS))
+    parts = list(inner_starts(sequence, STARTS["five"]))
     assert [len(part.truth) for part in parts] == [30 - 14, 30 - 21]
-    assert len({part.name for part in parts} | {sequence.name}) == 1 + len(STARTS.inner)
+    assert len({part.name for part in parts} | {sequence.name}) == 3
 
 
-def test_the_other_starts_are_seven_and_none_of_the_first_five() -> None:
+def test_no_start_is_in_two_sets_and_each_set_has_as_many_as_its_name_says() -> None:
     truth = np.tile([10.0, 10.0, 20.0, 20.0], (60, 1))
     sequence = Sequence("walk", "made", truth, tuple(Path(f"{i}.jpg") for i in range(60)), ())
     spec = TrackerSpec.parse("racf-")
-    first, other = (
-        {(task.sequence, task.start): (task.first_box, task.frames[0]) for task in halves.todo(spec, sequence, starts)}
-        for starts in (STARTS, OTHER_STARTS)
-    )
-    assert (len(first), len(other)) == (5, 7)
-    assert not set(first) & set(other)
-    assert not set(first.values()) & set(other.values())
+    begun = {
+        name: {(task.sequence, task.start): (task.first_box, task.frames[0]) for task in halves.todo(spec, sequence, s)}
+        for name, s in STARTS.items()
+    }
+    assert {name: len(tasks) for name, tasks in begun.items()} == {
+        "five": 5, "seven": 7, "eight": 8, "fifteen": 15, "twenty": 20,
+    }  # fmt: skip
+    assert begun["seven"] | begun["eight"] == begun["fifteen"]
+    assert begun["five"] | begun["fifteen"] == begun["twenty"]
+    assert len(set(begun["twenty"].values())) == 20
 
 
 @pytest.fixture
@@ -102,11 +105,11 @@ def test_a_study_reads_the_runs_that_it_left(twenty, tmp_path, capsys, monkeypat
 )
 def test_wrong_arguments_are_told_in_one_line_before_anything_runs(twenty, capsys, monkeypatch, wrong, told):
     with pytest.raises(SystemExit):
-        printed(capsys, monkeypatch, twenty, "--other-starts", *wrong)
+        printed(capsys, monkeypatch, twenty, "--starts", "seven", *wrong)
     assert told in capsys.readouterr().err.splitlines()[-1]
 
 
-@pytest.mark.parametrize("study", [authors, confidence, other_starts, reliability])
+@pytest.mark.parametrize("study", [authors, confidence, occlusions, other_starts, reliability])
 def test_a_wrong_tracker_is_told_in_one_line_by_every_study(study, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(sys, "argv", ["study", str(tmp_path), "--tracker", "racff"])
     with pytest.raises(SystemExit):

@@ -1,13 +1,14 @@
 """Do a tracker's settings hold on footage they were not chosen on?  Two halves of twenty sequences, either way round.
 
-    python -m tools.studies.halves DATA [--out OUT] [--jobs N] [--dask ADDRESS]
+    python -m tools.studies.halves DATA [--starts five] [--out OUT] [--jobs N] [--dask ADDRESS]
     python -m tools.studies.halves DATA --tracker racf- --tracker racf-,ridge=0.01 [--against arcf-hc]
 
 DATA holds the twenty sequences named in HALVES, as folders, with the authors' boxes in DATA/results.  Each sequence is
 run from five starts: its annotated first box, two that are a little wrong (`racf.evaluate.runner.jittered`), and the
-annotated boxes a third and two thirds of the way; with `--other-starts` from seven more, four that are a little wrong
-and the annotated boxes after a sixth, a half and five sixths.  A sequence counts once, with the mean over its starts.
-Shares are percent, in the toolkits' convention (docs/evaluation.md).
+annotated boxes a third and two thirds of the way.  `--starts seven` has four others that are a little wrong and the
+annotated boxes after a sixth, a half and five sixths; `--starts eight` four more, a quarter, three quarters, five and
+seven twelfths; `fifteen` both, `twenty` all.  A sequence counts once, with the mean over its starts.  Shares are
+percent, in the toolkits' convention (docs/evaluation.md).
 
 Of each family of candidates the best on one half (by the sum of AUC and precision) is reported on the other, and the
 other way round; both reports together are the two-fold figure, over all twenty sequences, none of which chose what it
@@ -50,9 +51,24 @@ class Starts:
     first: tuple[int, ...]
     inner: dict[str, float]
 
+    def __or__(self, other: "Starts") -> "Starts":
+        return Starts((*self.first, *other.first), {**self.inner, **other.inner})
 
-STARTS = Starts((0, 1, 2), {"from-a-third": 1 / 3, "from-two-thirds": 2 / 3})
-OTHER_STARTS = Starts((3, 4, 5, 6), {"from-a-sixth": 1 / 6, "from-half": 1 / 2, "from-five-sixths": 5 / 6})
+
+_FIVE = Starts((0, 1, 2), {"from-a-third": 1 / 3, "from-two-thirds": 2 / 3})
+_SEVEN = Starts((3, 4, 5, 6), {"from-a-sixth": 1 / 6, "from-half": 1 / 2, "from-five-sixths": 5 / 6})
+_EIGHT = Starts(
+    (7, 8, 9, 10),
+    {
+        "from-a-quarter": 1 / 4,
+        "from-three-quarters": 3 / 4,
+        "from-five-twelfths": 5 / 12,
+        "from-seven-twelfths": 7 / 12,
+    },
+)
+STARTS = {
+    "five": _FIVE, "seven": _SEVEN, "eight": _EIGHT, "fifteen": _SEVEN | _EIGHT, "twenty": _FIVE | _SEVEN | _EIGHT,
+}  # fmt: skip
 
 AUTHORS = "RACF, the authors' boxes"
 
@@ -269,7 +285,7 @@ def main() -> None:
         "--tracker", type=tracker_label, action="append", help="run only these, instead of the study's families"
     )
     parser.add_argument("--against", type=tracker_label, default="arcf-hc", help="differences are to this tracker")
-    parser.add_argument("--other-starts", action="store_true", help="from seven starts besides the study's five")
+    parser.add_argument("--starts", choices=STARTS, default="five", help="which starts, by how many there are")
     parser.add_argument("--jobs", type=processes, default="0", help="number of processes; 0: one for each core")
     parser.add_argument("--dask", help="address of a running Dask scheduler")
     args = parser.parse_args()
@@ -277,12 +293,11 @@ def main() -> None:
         *PRESENTED, *(label for family in FAMILIES.values() for label in (family.default, *family.others)),
     ]  # fmt: skip
     labels = list(dict.fromkeys([args.against, *asked]))
-    starts = OTHER_STARTS if args.other_starts else STARTS
     try:
         sequences = read_halves(args.data)
     except (OSError, ValueError) as error:
         parser.error(str(error))
-    measured = measure(labels, sequences, starts, args.out, args.jobs, args.dask)
+    measured = measure(labels, sequences, STARTS[args.starts], args.out, args.jobs, args.dask)
     against = TrackerSpec.parse(args.against).label
     shown = {AUTHORS: authors(args.data, sequences, "RACF"), **measured}
     print(table(shown, measured[against], against))

@@ -1,6 +1,6 @@
-"""The reliability diagram of a tracker's confidence, on the study's twenty sequences from five starts each.
+"""The reliability diagram of a tracker's confidence, on the study's twenty sequences from several starts each.
 
-    python -m tools.studies.reliability DATA [--tracker racf,robust] [--other-starts] [--draw FILE.svg]
+    python -m tools.studies.reliability DATA [--tracker racf,robust] [--starts five] [--draw FILE.svg]
                                         [--jobs N] [--dask ADDRESS]
 
 DATA and the starts are those of `tools.studies.halves`.  Every frame after the first gives the confidence, the
@@ -33,7 +33,6 @@ from racf.parallel import each
 from racf.threads import one_core
 from tools.studies.halves import (
     HALVES,
-    OTHER_STARTS,
     STARTS,
     Starts,
     inner_starts,
@@ -192,7 +191,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="The reliability diagram of a tracker's confidence.")
     parser.add_argument("data", type=Path)
     parser.add_argument("--tracker", type=tracker_label, default="racf,robust")
-    parser.add_argument("--other-starts", action="store_true", help="from seven starts besides the study's five")
+    parser.add_argument("--starts", choices=STARTS, default="five", help="which starts, by how many there are")
     parser.add_argument("--jobs", type=processes, default="0", help="number of processes; 0: one for each core")
     parser.add_argument("--dask", help="address of a running Dask scheduler")
     parser.add_argument("--draw", type=Path, help="draw the diagram into this .svg file")
@@ -201,7 +200,7 @@ def main() -> None:
         sequences = read_halves(args.data)
     except (OSError, ValueError) as error:
         parser.error(str(error))
-    by_sequence = measure(args.tracker, sequences, OTHER_STARTS if args.other_starts else STARTS, args.jobs, args.dask)
+    by_sequence = measure(args.tracker, sequences, STARTS[args.starts], args.jobs, args.dask)
     print(text(by_sequence))
     if args.draw:
         draw(Frames.joined(list(by_sequence.values())), args.draw, args.tracker)
