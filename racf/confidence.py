@@ -22,8 +22,10 @@ class Verdict(Enum):
 
 
 def ramp(confidence: float, low: float, high: float) -> float:
-    """How far a confidence has come from `low` to `high`, 0..1; 1 from `high` on, also where both are one."""
-    return 1.0 if confidence >= high else max((confidence - low) / (high - low), 0.0)
+    """How far a confidence has come from `low` to `high`: 0 up to `low`, 1 from `high` on, also if `low` is as high."""
+    if confidence >= high:
+        return 1.0
+    return max(confidence - low, 0.0) / (high - low) if low < high else 0.0
 
 
 class Confidence:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from racf import Box, Racf, preset
-from racf.confidence import Confidence, Verdict
+from racf.confidence import Confidence, Verdict, ramp
 
 ROWS, COLS, SIDE = 240, 400, 36
 GROUND = cv2.GaussianBlur(np.random.default_rng(7).integers(0, 256, (ROWS, COLS, 3), dtype=np.uint8), (0, 0), 4)
@@ -132,6 +132,19 @@ def test_a_doubtful_response_moves_the_box_from_the_prediction_as_far_as_it_is_b
     assert weighed.centre_x - expected.centre_x == pytest.approx(belief * (match.box.centre_x - expected.centre_x))
     assert weighed.centre_y - expected.centre_y == pytest.approx(belief * (match.box.centre_y - expected.centre_y))
     assert tracker._weighed(expected, match, Verdict.CLEAR) == match.box
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.6, 1.0), (0.5, 0.6), (1.0, 1.0), (0.7, 0.6), (0.0, 0.0)])
+def test_a_ramp_goes_from_none_to_all_whatever_its_ends(low, high):
+    values = [ramp(confidence, low, high) for confidence in np.linspace(0, 1, 101).tolist()]
+    assert values == sorted(values)
+    assert set(values) <= {0.0, 1.0} or low < high
+    assert ramp(high, low, high) == 1.0
+    assert all(0 <= value <= 1 for value in values)
+
+
+def test_a_gate_that_only_full_confidence_passes_still_tracks():
+    assert settled(dataclasses.replace(ROBUST, learn_above=1.0)).update(image(67, 100)).found
 
 
 def test_nothing_is_learned_while_the_target_is_hidden():
