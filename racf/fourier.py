@@ -155,8 +155,12 @@ class _Plan:
         self._there, self._back = _pairs_down(half, m, channels)
         self._sums = np.tile(np.array([1, 1, 1, -1], np.float32), (len(self._there), 1))
         self._padded = np.zeros(2 * half * m * channels + channels, np.float32)
-        self._planes = self._padded[:-channels].reshape(2, half, m * channels)
+        self._of_planes = 2, half, m * channels
         self._pairs = np.empty((2, m // 2 + 1, 2, half, channels), np.float32)
+
+    def _planes(self) -> Float32:
+        """All but the row of zeros, a view: a copied plan has its own."""
+        return self._padded[: np.prod(self._of_planes)].reshape(self._of_planes)
 
     def forward(self, x: Float32, out: Float32) -> Float32:
         n = self.part[0]
@@ -169,7 +173,7 @@ class _Plan:
         if n % 2 == 0:  # the one at -n/2 has no partner
             even[-1] = flat[0]
             np.negative(flat[0], out=odd[-1])
-        np.matmul(self._across, _halves(self._lines), out=_halves(self._planes))
+        np.matmul(self._across, _halves(self._lines), out=_halves(self._planes()))
         self._padded[-x.shape[2] :] = 0
         _combined(self._padded, self._there, self._sums, x.shape[2], self._pairs.reshape(-1))
         np.matmul(self._down, _halves(self._pairs), out=_halves(out))
@@ -179,7 +183,7 @@ class _Plan:
         n = self.part[0]
         np.matmul(self._down_back, _halves(g_f), out=_halves(self._pairs))
         _combined(self._pairs.reshape(-1), self._back, self._sums, g_f.shape[-1], self._padded)
-        np.matmul(self._across_back, _halves(self._planes), out=_halves(self._lines))
+        np.matmul(self._across_back, _halves(self._planes()), out=_halves(self._lines))
         (even, odd), flat, middle, pairs = self._lines, out.reshape(n, -1), n // 2, (n - 1) // 2
         flat[middle] = even[0]
         np.subtract(even[1 : pairs + 1], odd[1 : pairs + 1], out=flat[middle + 1 : middle + 1 + pairs])

@@ -248,6 +248,17 @@ def test_without_re_detection_a_target_elsewhere_stays_lost():
 
 
 @pytest.mark.parametrize("params", [preset("racf"), ROBUST])
+@pytest.mark.parametrize("scene", [image(67, 100), image(300, 60), GROUND, 0 * GROUND])
+@pytest.mark.parametrize("prior", [None, box(300, 60)])
+def test_a_copy_of_a_tracker_sees_what_the_tracker_sees(params, scene, prior):
+    tracker = settled(params)
+    copied = deepcopy(tracker)
+    own, its = (one.update(scene, prior) for one in (tracker, copied))
+    assert (its.box, its.psr, its.confidence, its.found) == (own.box, own.psr, own.confidence, own.found)
+    np.testing.assert_array_equal(its.response, own.response)
+
+
+@pytest.mark.parametrize("params", [preset("racf"), ROBUST])
 def test_a_prior_moves_the_search(params):
     tracker = Racf(params)
     tracker.init(image(40, 100), box(40, 100))
