@@ -83,14 +83,15 @@ class Params:
     refine_min_target_px: float = 20.0  # smaller targets are too few pixels to segment [measured]
 
     # What a follower needs and the paper lacks: five switches (`robust` means all five) and their numbers
-    # Learn, estimate scale and refine only in frames whose response is clear, and a clear frame with a share of the
-    # learning rate: none at the confidence learn_above, all of it at 1 [measured].
-    gate_learning: bool = False
+    gate_learning: bool = False  # learn, estimate scale and refine only in frames whose response is clear
     strict_refine: bool = False  # a segment must overlap the tracker's box by more than strict_iou
     predict_motion: bool = False  # search where the target's smoothed motion predicts it
     coast: bool = False  # a lost target's box follows the prediction, not the response
     redetect: bool = False  # search for a lost target further afield
     learn_above: float = 0.6  # gate_learning: least confidence (PSR and peak over their running means) of a clear frame
+    # gate_learning: the model takes a clear frame in with a share of learning_rate, from none at this confidence to all
+    # of it at 1.  What slowly hides a target is not learned; a target that turns by 45 degrees/s still is [measured].
+    learn_share_from: float = 0.3
     lost_below: float = 0.5  # the target counts as lost below this confidence
     regain_above: float = 0.7  # a lost target is found again at this confidence
     # A memory of a hundred clear frames.  At 0.1 the means follow a slow occlusion (PSR 14 to 5 within 0.7 s) down and

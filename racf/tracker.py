@@ -153,11 +153,10 @@ class Racf:
         return expected.moved(weight * dx, weight * dy)
 
     def _belief(self, match: Match) -> float:
-        """The share of the learning rate with which this frame is learned: what half hides a target is sharp enough to
-        pass the gate for a second and more."""
+        """The share of the learning rate with which this frame is learned: what half hides a target passes the gate."""
         if not self.params.gate_learning:
             return 1.0
-        return ramp(self._confidence.ratio(match.psr, match.value), self.params.learn_above, 1.0)
+        return ramp(self._confidence.ratio(match.psr, match.value), self.params.learn_share_from, 1.0)
 
     def _kept_inside(self, box: Box) -> Box:
         """The box with its centre kept in the image and its sides between 2 px and the image's."""

@@ -99,7 +99,10 @@ class TranslationFilter:
         return Match(box.moved(dx * per_cell, dy * per_cell), response, float(response[row, col]), psr, apce)
 
     def learn(self, image: UInt8, box: Box, belief: float = 1.0) -> None:
-        """Take the target at `box` into the model, with a share of the learning rate, and learn the filter again."""
+        """Take the target at `box` into the model, with a share of the learning rate, and learn the filter again.
+
+        The residue (Eq. 14) is the whole one, whatever the share.
+        """
         params, residue_f = self.params, self._residue_f
         sample_f = self._sample_to_learn(image, box)
         model_f = self._model_f

@@ -65,6 +65,7 @@ OTHER: dict[str, tuple[Any, dict[str, Any]]] = {
     "strict_refine": (False, {"strict_iou": 0.95}),
     "predict_motion": (False, {}), "coast": (False, {}), "redetect": (False, {}),
     "learn_above": (0.95, {"usual_psr_max": 99.0}),
+    "learn_share_from": (0.9, {"usual_psr_max": 99.0}),
     "lost_below": (0.3, {}), "regain_above": (0.95, {}), "confidence_rate": (0.3, {}),
     "confidence_rate_doubtful": (0.2, {}),
     "usual_psr_max": (60.0, {}), "usual_psr_min": (50.0, {"usual_psr_max": 60.0}), "least_psr": (30.0, {}),

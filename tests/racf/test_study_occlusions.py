@@ -1,5 +1,6 @@
 """The occlusions that the study makes: the piece touches, hides and leaves when it says, and ends are told apart."""
 
+import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,6 +10,7 @@ import pytest
 import tests.support.rendered_benchmarks as rendered
 from racf.box import Box
 from racf.evaluate.benchmarks import Sequence, read_benchmark
+from racf.evaluate.images import read_frame
 from racf.track import Track
 from tools.studies import occlusions
 from tools.studies.occlusions import AFTER, LEAD, drawn, hidden, truth_of, watch
@@ -114,6 +116,44 @@ def test_who_stays_on_the_target_keeps_it_and_who_goes_with_the_piece_is_false(w
     assert false.false >= AFTER
     assert (lost.end, lost.false) == ("lost", 0)
     assert kept.frames == event.crossing + AFTER
+
+
+def test_a_tracker_is_shown_the_piece_at_the_place_of_each_frames_target(walk, monkeypatch):
+    truth, seen = {walk.name: truth_of(walk)}, list[np.ndarray]()
+    event = next(iter(drawn(walk, 0)))
+    target = truth[walk.name][event.first : event.first + len(event.frames)]
+
+    def see(answers: _Answers, image: np.ndarray) -> Track:
+        seen.append(image)
+        return answers.init(image, Box(*target[0].tolist()))
+
+    monkeypatch.setattr(_Answers, "update", see)
+    watch(event, Known(()), truth)
+    x, y, w, h = event.piece
+    first = read_frame(event.frames[0])[y : y + h, x : x + w]
+    for k, image in zip(range(1, len(event.frames)), seen[-len(event.frames) + 1 :], strict=True):
+        shown = hidden(read_frame(event.frames[k]), first, event.centre(k, target[k]))
+        np.testing.assert_array_equal(image, shown)
+    middle = LEAD + event.crossing // 2
+    assert (seen[-len(event.frames) + middle] != read_frame(event.frames[middle])).any()
+
+
+def test_an_end_is_told_by_found_and_overlap():
+    ends = [occlusions._end(*case) for case in ((0.31, True), (0.3, True), (0.0, True), (0.9, False))]
+    assert ends == ["kept", "between", "false", "lost"]
+
+
+def test_a_difference_is_that_of_the_shares_and_its_interval_is_over_sequences(walk):
+    events = list(drawn(walk, 0))
+    of = [dataclasses.replace(event, sequence=f"{k % 4}") for k, event in enumerate(events * 4)]
+    of = {dataclasses.replace(event, first=k): k % 4 for k, event in enumerate(of)}
+    ours = {event: occlusions.Judged(10, 4 if group else 0, "kept") for event, group in of.items()}
+    theirs = {event: occlusions.Judged(10, 1, "kept") for event in of}
+    value, low, high = occlusions.differences(ours, theirs, "false frames")
+    groups = np.bincount(list(of.values()), minlength=4)
+    assert value == pytest.approx(40 * groups[1:].sum() / groups.sum() - 10)
+    assert -10 <= low < value < high <= 30
+    assert low < 10  # one of four is another: an interval of quarters reaches far
 
 
 def test_differences_are_paired_by_event_and_shares_add_up(walk):

@@ -4,9 +4,11 @@
                                        [--jobs N] [--dask ADDRESS]
 
 DATA is that of `tools.studies.halves`.  Real occlusions are few there, and each decides whole figures.  Here a piece of
-the sequence's own background passes over the annotated target: EVENTS times a sequence, each from a fresh start on the
-annotated box, LEAD frames before the piece touches the target.  It takes FASTEST to SLOWEST frames to pass, from a side
-and with a size that are drawn; then the target is seen for AFTER frames more.
+the sequence's own background passes over the annotated target, up to EVENTS times a sequence: fewer where it is too
+short or the target is absent.  Each is a fresh start on the annotated box, LEAD frames before the piece touches the
+target.  It takes FASTEST to SLOWEST frames to pass, from a side and with a size that are drawn; then come AFTER frames
+more.  Size and path are those of the target's first size, so that a target that grows is covered less and longer, and
+the piece may show another car or person.
 
 A frame counts as false if the tracker calls the target found and its box has no overlap with the annotation.  An event
 ends kept (found, overlap above 0.3), false, lost, or between (found, an overlap up to 0.3).  Intervals are 95 %, by
@@ -38,7 +40,7 @@ from tools.studies.reliability import ON_ABOVE, RESAMPLES, corner
 EVENTS = 8  # of a sequence
 LEAD, AFTER = 25, 30  # frames before and after the piece passes the target
 FASTEST, SLOWEST = 10, 60  # frames in which it passes
-SIZES = (0.7, 1.5)  # of the piece, in target's sides: from most of the target to all of it for a while
+SIZES = (0.7, 1.5)  # of the piece, in target's sides: half of its area to all of it for a while
 CLEAR = 1.5  # times the target's box: where no piece is taken from
 TRIES = 50  # at a piece of background
 OUTCOMES = ("kept", "between", "lost", "false")
@@ -216,12 +218,19 @@ def table(ours: dict[Event, Judged], theirs: dict[Event, Judged] | None) -> str:
     return "\n".join(lines)
 
 
+def whole(text: str) -> int:
+    """A number for the draws, for argparse."""
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"a whole number of at least 0, not {text!r}")
+    return int(text)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description="What a tracker does when something slowly hides its target.")
     parser.add_argument("data", type=Path)
     parser.add_argument("--tracker", type=tracker_label, action="append", help="default: racf,robust")
     parser.add_argument("--against", type=tracker_label, help="print the differences from this tracker too")
-    parser.add_argument("--seed", type=int, default=0, help="other events with another number")
+    parser.add_argument("--seed", type=whole, default="0", help="other events with another number")
     parser.add_argument("--jobs", type=processes, default="0", help="number of processes; 0: one for each core")
     parser.add_argument("--dask", help="address of a running Dask scheduler")
     args = parser.parse_args()
