@@ -90,7 +90,7 @@ class Params:
     redetect: bool = False  # search for a lost target further afield
     learn_above: float = 0.6  # gate_learning: least confidence (PSR and peak over their running means) of a clear frame
     # gate_learning: the model takes a clear frame in with a share of learning_rate, from none at this confidence to all
-    # of it at 1.  What slowly hides a target is not learned; a target that turns by 45 degrees/s still is [measured].
+    # of it at 1: what slowly hides a target is learned less, one that turns by 45 degrees/s still enough [measured].
     learn_share_from: float = 0.3
     lost_below: float = 0.5  # the target counts as lost below this confidence
     regain_above: float = 0.7  # a lost target is found again at this confidence

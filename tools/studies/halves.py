@@ -270,11 +270,16 @@ def tracker_label(label: str) -> str:
     return label
 
 
-def processes(text: str) -> int:
-    """A number of processes, for argparse; 0 is one for each core."""
+def whole(text: str) -> int:
+    """A whole number of at least 0, for argparse."""
     if not text.isdecimal():
         raise argparse.ArgumentTypeError(f"a whole number of at least 0, not {text!r}")
-    return int(text) or len(os.sched_getaffinity(0))
+    return int(text)
+
+
+def processes(text: str) -> int:
+    """A number of processes, for argparse; 0 is one for each core."""
+    return whole(text) or len(os.sched_getaffinity(0))
 
 
 def main() -> None:

@@ -34,7 +34,7 @@ from racf.evaluate.runner import TrackerBuilder, warm_up
 from racf.evaluate.trackers import TrackerSpec
 from racf.parallel import each
 from racf.threads import one_core
-from tools.studies.halves import HALVES, processes, read_halves, tracker_label
+from tools.studies.halves import HALVES, processes, read_halves, tracker_label, whole
 from tools.studies.reliability import ON_ABOVE, RESAMPLES, corner
 
 EVENTS = 8  # of a sequence
@@ -111,7 +111,10 @@ def drawn(sequence: Sequence, seed: int) -> Iterator[Event]:
 def _background(
     rng: np.random.Generator, target: Box, size: tuple[int, int], shape: tuple[int, int]
 ) -> tuple[int, int, int, int] | None:
-    """A box of a size in an image of (rows, columns), as near the target as the draws allow, but clear of it."""
+    """A box (x, y, w, h) of this size near the target but clear of it, in an image of (rows, columns).
+
+    None if no draw fits.
+    """
     w, h = size
     reach = 3.0 * max(target.w, target.h, w, h)
     for _ in range(TRIES):
@@ -216,13 +219,6 @@ def table(ours: dict[Event, Judged], theirs: dict[Event, Judged] | None) -> str:
             halves.append(f"{differences(part, theirs, name)[0]:{sign}.1f}" if part else "-")
         lines.append(f"| {name} | {mean:{sign}.1f} ({low:{sign}.1f}..{high:{sign}.1f}) | {' | '.join(halves)} |")
     return "\n".join(lines)
-
-
-def whole(text: str) -> int:
-    """A number for the draws, for argparse."""
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"a whole number of at least 0, not {text!r}")
-    return int(text)
 
 
 def main() -> None:
