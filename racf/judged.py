@@ -3,10 +3,12 @@
 A correlation filter of ours learns the target at the other tracker's boxes and looks at each new one.  Its response
 says how far to believe the box: its PSR and peak against the target's usual ones, as for our own tracker, and its peak
 must lie within the box.  A box that is not believed is not found, and nothing is learned there; while the target is
-lost our re-detection searches, and starts the other tracker again on what it finds.
+lost our re-detection searches, and starts the other tracker again on what it finds.  A tracker that fails, or answers
+without a box, has found nothing in that image.
 """
 
-from typing import Protocol
+import logging
+from typing import Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +19,11 @@ from racf.params import Params
 from racf.redetect import Redetection
 from racf.texture import is_featureless
 from racf.track import Track
+from racf.tracker import MIN_SIDE_PX, checked_next, checked_start
 from racf.translation import Match, TranslationFilter
 
+LOG = logging.getLogger("racf")
 UInt8 = NDArray[np.uint8]
-MIN_SIDE_PX = 2.0
 
 
 class JudgedTracker(Protocol):
@@ -40,10 +43,13 @@ class JudgedBoxes:
 
     def __init__(self, tracker: JudgedTracker, params: Params | None = None) -> None:
         self.tracker, self.params = tracker, params or Params().robust()
+        self._frame_shape: tuple[int, ...] | None = None
 
     def init(self, image: UInt8, box: Box) -> Track:
-        """Start both on `box`; raises ValueError as the tracker does."""
+        """Start both on `box`; raises ValueError for an invalid image or box, and whatever the tracker raises."""
+        image = checked_start(image, box)
         self.tracker.init(image, box)
+        self._frame_shape, self._has_failed = image.shape, False
         self._filter = TranslationFilter(self.params, box, colour=image.ndim == 3 and self.params.colour_names)
         self._confidence = Confidence(self.params, featureless=is_featureless(image, box))
         self._redetection = Redetection(self.params)
@@ -52,12 +58,17 @@ class JudgedBoxes:
         return Track(box, self._filter.region(box), psr=0.0, apce=0.0, confidence=1.0)
 
     def update(self, image: UInt8, prior: Box | None = None) -> Track:
-        """The tracker's next box, and what our filter says of it; `prior`: where a lost target is searched for."""
-        box = self._sized(self.tracker.update(image).box, image)
+        """The tracker's next box, and what our filter says of it; `prior`: where a lost target is searched for.
+
+        The tracker's errors are logged, once after each start.  Raises ValueError as `racf.Racf.update` does.
+        """
+        image = checked_next(image, self._frame_shape, prior)
+        answer = self._answer(image)
+        box = self._sized(answer or self._box, image)
         match = self._filter.locate(image, box)
         # The filter may see the target beside the box, sharp as ever: then the box is not on it.
         apart = abs(match.box.centre_x - box.centre_x) > box.w / 2 or abs(match.box.centre_y - box.centre_y) > box.h / 2
-        psr = 0.0 if apart else match.psr
+        psr = 0.0 if apart or answer is None else match.psr
         verdict = self._confidence.judge(psr, match.value)
         if verdict is Verdict.LOST:
             expected = (
@@ -66,12 +77,31 @@ class JudgedBoxes:
             match, verdict = self._redetection.search(image, expected, match, self._filter, self._confidence)
             if verdict is not Verdict.LOST:
                 box, psr = self._sized(match.box, image), match.psr
-                self.tracker.init(image, box)
+                self._restart(image, box)
         if verdict is Verdict.CLEAR:
             self._filter.learn(image, box)
         if verdict is not Verdict.LOST:
             self._box = box
         return self._track(box, match, psr, verdict)
+
+    def _answer(self, image: UInt8) -> Box | None:
+        """The tracker's next box, None if it fails."""
+        try:
+            box = cast("object", self.tracker.update(image).box)
+        except Exception as error:  # noqa: BLE001 - whatever a tracker raises: a flight goes on
+            return self._failed(f"{type(error).__name__}: {error}")
+        return box if isinstance(box, Box) else self._failed(f"it answered {box!r} instead of a racf.Box")
+
+    def _restart(self, image: UInt8, box: Box) -> None:
+        try:
+            self.tracker.init(image, box)
+        except Exception as error:  # noqa: BLE001 - the target is there: our filter found it
+            self._failed(f"{type(error).__name__}: {error}")
+
+    def _failed(self, why: str) -> None:
+        if not self._has_failed:
+            LOG.warning("%s failed and counts as having found nothing: %s", type(self.tracker).__name__, why)
+        self._has_failed = True
 
     def _track(self, box: Box, match: Match, psr: float, verdict: Verdict) -> Track:
         return Track(

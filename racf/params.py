@@ -6,6 +6,7 @@ says it uses; [measured] points to the tables in docs/notebook.md and docs/study
 """
 
 import math
+import numbers
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -22,10 +23,13 @@ _WEIGHTS = ("residue", "spatial", "bowl", "temporal", "ridge", "aberrance", "red
 
 AT_MOST = {
     "admm_iterations": 1000, "newton_iterations": 1000, "refine_iterations": 1000, "redetect_places": 1000,
-    "redetect_reach": 1000, "cell_px": 64, "scales": 333, "scale_step": 2.0, "search_area": 1000.0,
+    "redetect_reach": 100, "cell_px": 64, "scales": 333, "scale_step": 2.0, "search_area": 1000.0,
     "sample_max_px": 4000, "refine_size_px": 4000, "scale_model_area_px": 1_000_000,
+    "residue": 1e6, "spatial": 1e6, "bowl": 1e6, "temporal": 1e6, "ridge": 1e6, "aberrance": 1e6,
+    "penalty": 1e9, "penalty_growth": 1e9, "penalty_max": 1e9, "label_sigma": 1e3, "scale_sigma": 1e3,
+    "scale_ridge": 1e9,
 }  # fmt: skip
-"""Far beyond what any tracker uses: more would take the memory, or a frame without end."""
+"""Far beyond what any tracker uses: more would take the memory, a frame without end, or leave the range of float32."""
 
 # Settings whose least value follows from another one.
 _FROM = {"sample_min_px": " (4 cell_px)", "sample_max_px": " (sample_min_px)", "scale_model_area_px": " (4 cell_px²)"}
@@ -101,7 +105,7 @@ class Params:
     usual_psr_max: float = 20.0  # a PSR above it is sharp however sharp it was before [measured]
     usual_psr_min: float = 10.0  # targets with features begin with at least 8 [measured]
     least_psr: float = 5.0  # a response below it shows no target: sky, noise and black have 3 to 4.5 [measured]
-    settle_frames: int = 5  # frames after the start in which every response is trusted: no usual value is known yet
+    settle_frames: int = 5  # frames after the start in which no usual values are known: see `racf.confidence`
     strict_iou: float = 0.8  # strict_refine: least overlap [measured]
     velocity_rate: float = 0.35  # predict_motion: rate of the running mean of the motion [measured]
     velocity_decay: float = 0.95  # predict_motion: factor on the motion in each frame without the target
@@ -116,6 +120,7 @@ class Params:
 
     def __post_init__(self) -> None:
         for name, kind in self.field_types().items():
+            self._require_kind(name, kind)
             if kind is float and not math.isfinite(getattr(self, name)):
                 raise ValueError(f"{name} is a finite number, not {getattr(self, name)}")
         for name in _FRACTIONS:
@@ -127,11 +132,19 @@ class Params:
         self._require_bounds()
         if not 0 < self.usual_psr_min <= self.usual_psr_max:
             raise ValueError(f"usual_psr_min is positive and at most usual_psr_max, not {self.usual_psr_min}")
-        for name in ("label_sigma", "penalty", "penalty_growth", "penalty_max", "scale_sigma", "scale_ridge"):
-            if getattr(self, name) <= 0:
-                raise ValueError(f"{name} is positive, not {getattr(self, name)}")
+        if self.scale_ridge <= 0:
+            raise ValueError(f"scale_ridge is positive, not {self.scale_ridge}")
         if self.scale_step <= 1:
             raise ValueError(f"scale_step is above 1, not {self.scale_step}")
+
+    def _require_kind(self, name: str, kind: type) -> None:
+        """Raise ValueError unless a setting is of its type; numbers of numpy are."""
+        value = getattr(self, name)
+        if kind is bool:
+            if not isinstance(value, bool):
+                raise ValueError(f"{name} is true or false, not {value!r}")
+        elif isinstance(value, bool) or not isinstance(value, numbers.Integral if kind is int else numbers.Real):
+            raise ValueError(f"{name} is a number ({kind.__name__}), not {value!r}")
 
     def _require_bounds(self) -> None:
         """Raise ValueError for a setting below its least value or above AT_MOST."""
@@ -142,7 +155,8 @@ class Params:
             "cell_px": 1, "admm_iterations": 1, "newton_iterations": 0, "reuse_cells": 0.0, "scales": 3,
             "refine_size_px": 16, "refine_iterations": 1, "redetect_agree": 1, "redetect_places": 0,
             "redetect_reach": 1, "redetect_patience": 1, "search_area": 1.0, "sample_min_px": 4 * self.cell_px,
-            "sample_max_px": self.sample_min_px, "scale_model_area_px": 4 * self.cell_px**2,
+            "sample_max_px": self.sample_min_px, "scale_model_area_px": 4 * self.cell_px**2, "refine_margin_px": 0.0,
+            "label_sigma": 1e-6, "scale_sigma": 1e-6, "penalty": 1e-6, "penalty_max": 1e-6, "penalty_growth": 1.0,
         }  # fmt: skip
         for name, least in at_least.items():
             if getattr(self, name) < least:

@@ -22,6 +22,7 @@ UInt8 = NDArray[np.uint8]
 kernels.announce()
 
 MIN_SIDE_PX = 2.0  # a smaller box holds no target
+MAX_SIDE_PX = 1e6  # far beyond any image: squares of larger numbers overflow
 
 
 class Racf:
@@ -48,14 +49,7 @@ class Racf:
 
         A target without edges in both directions is never found: see `racf.texture`.
         """
-        image = _checked(image)
-        _check_box(box, "target")
-        rows, cols = image.shape[:2]
-        if box.intersection(Box(0, 0, cols, rows)) <= 0:
-            raise ValueError(f"target {box} lies outside the {cols}x{rows} image")
-        if min(box.w, box.h) < MIN_SIDE_PX:
-            raise ValueError(f"a target needs sides of at least {MIN_SIDE_PX:g} pixels, not {box}")
-        params = self.params
+        image, params = checked_start(image, box), self.params
         self._frame_shape = image.shape
         self._box = box
         self._filter = TranslationFilter(params, box, colour=image.ndim == 3 and params.colour_names)
@@ -73,9 +67,7 @@ class Racf:
 
         Raises ValueError if the image differs from the first one in shape or type, or before `init`.
         """
-        image = self._next_image(image)
-        if prior is not None:
-            _check_box(prior, "prior")
+        image = checked_next(image, self._frame_shape, prior)
         params, clock, before = self.params, _Stopwatch(), self._box
         expected = self._expected(prior)
         clock.lap("predict")
@@ -125,20 +117,13 @@ class Racf:
             stage_ms=clock.laps,
         )
 
-    def _next_image(self, image: UInt8) -> UInt8:
-        if self._frame_shape is None:
-            raise ValueError("the tracker must be given a target with init before update")
-        image = _checked(image)
-        if image.shape != self._frame_shape:
-            raise ValueError(f"images must keep the first one's shape {self._frame_shape}, not {image.shape}")
-        return image
-
     def _expected(self, prior: Box | None) -> Box:
         """Where to search: at the caller's prior, or at the last box moved by the target's velocity."""
         if prior is not None:
             # While the target is seen, the scale filter knows its size better than any caller.
-            size = prior if self._confidence.lost_frames else self._box
-            return Box.around(prior.centre_x, prior.centre_y, size.w, size.h)
+            sides = (prior.w, prior.h) if self._confidence.lost_frames else (self._box.w, self._box.h)
+            w, h = (min(max(side, MIN_SIDE_PX), MAX_SIDE_PX) for side in sides)
+            return Box.around(prior.centre_x, prior.centre_y, w, h)
         if not self.params.predict_motion:
             return self._box
         return self._box.moved(self._velocity.dx, self._velocity.dy)
@@ -209,6 +194,32 @@ def _checked(image: UInt8) -> UInt8:
     """The checked image in one piece: a view is copied once here, or every sample would copy it."""
     check_image(image)
     return np.ascontiguousarray(image)
+
+
+def checked_start(image: UInt8, box: Box) -> UInt8:
+    """The image in one piece; raises ValueError for an invalid image or a box that cannot start a tracker in it."""
+    image = _checked(image)
+    _check_box(box, "target")
+    rows, cols = image.shape[:2]
+    if box.intersection(Box(0, 0, cols, rows)) <= 0:
+        raise ValueError(f"target {box} lies outside the {cols}x{rows} image")
+    if min(box.w, box.h) < MIN_SIDE_PX:
+        raise ValueError(f"a target needs sides of at least {MIN_SIDE_PX:g} pixels, not {box}")
+    if max(box.w, box.h) > MAX_SIDE_PX:
+        raise ValueError(f"a target has sides of at most {MAX_SIDE_PX:g} pixels, not {box}")
+    return image
+
+
+def checked_next(image: UInt8, first_shape: tuple[int, ...] | None, prior: Box | None) -> UInt8:
+    """The image in one piece; raises ValueError for another shape than the first one's, or before there was one."""
+    if first_shape is None:
+        raise ValueError("the tracker must be given a target with init before update")
+    image = _checked(image)
+    if image.shape != first_shape:
+        raise ValueError(f"images must keep the first one's shape {first_shape}, not {image.shape}")
+    if prior is not None:
+        _check_box(prior, "prior")
+    return image
 
 
 def _params(given: object) -> Params:

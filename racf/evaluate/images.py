@@ -15,7 +15,10 @@ Image = NDArray[np.uint8]  # (rows, columns, 3), BGR
 
 def read_frame(path: Path) -> Image:
     """One image; raises ValueError naming the file."""
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    try:
+        image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    except cv2.error:  # its header says more pixels than OpenCV reads
+        image = None
     if image is None:
         raise ValueError(f"{path} is not an image that OpenCV can read")
     return np.asarray(image, dtype=np.uint8)

@@ -2,9 +2,13 @@
 
 OUT/runs/<label>-<fingerprint>/<benchmark>/<sequence>[.startN].txt     boxes, 1-based, a line a frame
 OUT/runs/<label>-<fingerprint>/<benchmark>/<sequence>[.startN].json    key, label, frames per second, stage times
+
+A sequence that is named by its path, because another has the same name, lies in the folders of that path.
 """
 
+import glob
 import json
+import math
 import os
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -12,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from racf.evaluate.benchmarks import Sequence
 from racf.evaluate.boxfiles import read_boxes, write_boxes
+from racf.evaluate.metrics import Boxes
 from racf.evaluate.stored import Stored
 
 if TYPE_CHECKING:
@@ -32,16 +37,14 @@ def store(folder: Path, task: "Task", run: "SequenceRun") -> None:
     half.replace(note)
 
 
-def find(folder: Path, task: "Task") -> tuple[Path, dict[str, Any]] | None:
-    """The file of boxes and the note that an earlier evaluation left, if they are of this very task."""
-    boxes, note = _places(folder, task)
-    if not note.is_file():
-        return None
+def find(folder: Path, task: "Task") -> tuple[Boxes, dict[str, Any]] | None:
+    """The boxes and the note that an earlier evaluation left, if they are of this very task and whole."""
+    place, note = _places(folder, task)
     try:
-        known = _noted(note)
-    except ValueError:
-        return None  # a disk that was full or lost power: the task is run again
-    return (boxes, known) if known["key"] == task.key() else None
+        known, boxes = _noted(note), read_boxes(place)
+    except (OSError, ValueError):
+        return None  # nothing there, or a disk that was full or lost power: the task is run again
+    return (boxes, known) if known["key"] == task.key() and len(boxes) == len(task.frames) else None
 
 
 def read_outcomes(folder: Path, sequences: Iterable[Sequence]) -> dict[str, Stored]:
@@ -52,7 +55,7 @@ def read_outcomes(folder: Path, sequences: Iterable[Sequence]) -> dict[str, Stor
     sequences = list(sequences)
     newest: dict[str, tuple[float, Path]] = {}
     for place in _trackers(folder):
-        notes = list(place.glob("*/*.json"))
+        notes = list(place.rglob("*.json"))
         if notes:
             label = str(_noted(notes[0]).get("label", place.name.rpartition("-")[0]))
             newest[label] = max(newest.get(label, (0.0, place)), (max(n.stat().st_mtime for n in notes), place))
@@ -72,13 +75,15 @@ def _trackers(folder: Path) -> Iterator[Path]:
 def _read(place: Path, sequences: list[Sequence]) -> Stored:
     found = Stored({})
     for sequence in sequences:
-        stem = place / sequence.benchmark / sequence.name.rpartition("/")[2]
+        stem = place / sequence.benchmark / sequence.name
         boxes, note = Path(f"{stem}.txt"), Path(f"{stem}.json")
         if not note.is_file():
             continue
         found.boxes[sequence.name] = _checked(boxes, sequence)
-        found.fps[sequence.name] = float(_noted(note)["fps"])
-        starts = sorted(boxes.parent.glob(f"{stem.name}.start*.txt"), key=lambda p: int(p.stem.rpartition(".start")[2]))
+        found.fps[sequence.name] = _noted(note)["fps"]
+        starts = sorted(
+            boxes.parent.glob(f"{glob.escape(stem.name)}.start*.txt"), key=lambda p: int(p.stem.rpartition(".start")[2])
+        )
         if starts:
             found.jittered[sequence.name] = [_checked(path, sequence) for path in starts]
     return found
@@ -92,7 +97,14 @@ def _noted(note: Path) -> dict[str, Any]:
         raise ValueError(f"{note} is not the JSON that an evaluation leaves: {error}; delete it") from None
     if not isinstance(known, dict) or not {"key", "fps"} <= set(known):
         raise ValueError(f"{note} is not what an evaluation leaves: it needs key and fps; delete it")
+    stages = known.setdefault("stage_ms", {})
+    if not isinstance(stages, dict) or not all(map(_is_number, (known["fps"], *stages.values()))):
+        raise ValueError(f"{note} is not what an evaluation leaves: fps and stage_ms are numbers; delete it")
     return known
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and math.isfinite(value)
 
 
 def _checked(path: Path, sequence: Sequence) -> Any:
@@ -105,6 +117,5 @@ def _checked(path: Path, sequence: Sequence) -> Any:
 def _places(folder: Path, task: "Task") -> tuple[Path, Path]:
     start = f".start{task.start}" if task.start else ""
     tracker = f"{task.spec.label.replace(os.sep, '_')}-{task.spec.fingerprint()}"
-    stem = task.sequence.rpartition("/")[2] + start
-    place = folder / FOLDER / tracker / task.benchmark
-    return place / f"{stem}.txt", place / f"{stem}.json"
+    stem = folder / FOLDER / tracker / task.benchmark / (task.sequence + start)
+    return Path(f"{stem}.txt"), Path(f"{stem}.json")

@@ -20,7 +20,7 @@ import uuid
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,6 +65,10 @@ class OwnTracker:
         except Exception as error:  # whatever your `update` raises
             raise self._failed("update", error) from error
         if isinstance(answer, Track):
+            if not isinstance(cast("object", answer.box), Box):
+                raise TrackerError(
+                    f"tracker {self._label}: the box of a racf.Track is a racf.Box, not {answer.box!r} {self._when()}"
+                )
             self._box = answer.box
             return answer
         if answer is None:

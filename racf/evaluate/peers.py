@@ -28,6 +28,7 @@ OPENCV = {"csrt": "TrackerCSRT", "kcf": "TrackerKCF", "mil": "TrackerMIL", "nano
 NETWORKS = {"nano": ("backbone", "neckhead"), "vit": ("net",)}  # OpenCV's names of the files that a tracker needs
 PEERS = ("csrt", "kcf")  # those that a drone's computer could run instead of ours
 
+MIL_LEAST_PX = 5  # on a smaller target it looks for random features that fit, without end
 # MIL draws its features with C's rand(), whose state is the process's: without a seed, what ran before would matter.
 _C = ctypes.CDLL("ucrtbase" if sys.platform == "win32" else None)
 
@@ -52,12 +53,21 @@ class Peer:
             raise ValueError(f"OpenCV cannot build {name} from {files}: {' '.join(str(error).split())}") from None
         self._tracker = Refined(tracker) if refine else tracker
         self._score: Callable[[], float] | None = getattr(tracker, "getTrackingScore", None)
-        self._box = Box(0, 0, 1, 1)
+        self._name, self._box = name, Box(0, 0, 1, 1)
 
     def init(self, image: NDArray[np.uint8], box: Box) -> Track:
-        """Start on `box`, rounded to whole pixels; MIL draws the same random features each time."""
+        """Start on `box`, rounded to whole pixels; MIL draws the same random features each time.
+
+        Raises ValueError if OpenCV refuses the image or the box.
+        """
+        least = MIL_LEAST_PX if self._name == "mil" else 0
+        if min(round(box.w), round(box.h)) < least:
+            raise ValueError(f"OpenCV's mil needs a target of at least {least} pixels on each side, not {box}")
         _C.srand(0)
-        self._tracker.init(image, (round(box.x), round(box.y), round(box.w), round(box.h)))
+        try:
+            self._tracker.init(image, (round(box.x), round(box.y), round(box.w), round(box.h)))
+        except cv2.error as error:
+            raise ValueError(f"OpenCV's {self._name} cannot start on {box}: {' '.join(str(error).split())}") from None
         self._box = box
         return self._track(True)
 

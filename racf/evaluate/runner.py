@@ -24,7 +24,6 @@ from racf.box import Box
 from racf.errors import TrackerError
 from racf.evaluate import outcomes
 from racf.evaluate.benchmarks import Sequence
-from racf.evaluate.boxfiles import read_boxes
 from racf.evaluate.images import FrameCache
 from racf.evaluate.metrics import Boxes
 from racf.evaluate.own import OwnTracker
@@ -216,4 +215,4 @@ def _stored(folder: Path | None, task: Task) -> SequenceRun | None:
     if found is None:
         return None
     boxes, known = found
-    return SequenceRun(read_boxes(boxes), known["fps"], known["stage_ms"])
+    return SequenceRun(boxes, known["fps"], known["stage_ms"])

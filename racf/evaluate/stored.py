@@ -6,6 +6,7 @@ Known arrangements, with `.txt` or `.mat` files: `DIR/<sequence>`, `DIR/<tracker
 """
 
 import json
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -36,10 +37,25 @@ def read_stored(folder: Path, tracker: str, sequences: Iterable[Sequence]) -> St
         if len(boxes) != len(sequence.truth):
             raise ValueError(f"{path}: {len(sequence.truth)} boxes are needed, one a frame, not {len(boxes)}")
         found.boxes[sequence.name] = boxes
-        note = path.with_name("fps.json")
-        speeds = json.loads(note.read_text()) if note.is_file() else {}
-        if path.stem in speeds:
-            found.fps[sequence.name] = float(speeds[path.stem])
+        speed = _speeds(path.with_name("fps.json")).get(path.stem)
+        if speed is not None:
+            found.fps[sequence.name] = speed
+    return found
+
+
+def _speeds(note: Path) -> dict[str, float]:
+    """Frames per second by sequence, empty without the file; raises ValueError that names it."""
+    if not note.is_file():
+        return {}
+    try:
+        speeds = json.loads(note.read_text())
+        found = {str(name): float(speed) for name, speed in speeds.items()}
+    except (AttributeError, TypeError, ValueError) as error:
+        raise ValueError(
+            f'{note} holds frames per second by sequence, {{"car1": 30}}: {error}; correct or delete it'
+        ) from None
+    if wrong := [name for name, speed in found.items() if not math.isfinite(speed)]:
+        raise ValueError(f"{note}: the frames per second of {wrong[0]} are not a finite number; correct or delete it")
     return found
 
 

@@ -68,6 +68,19 @@ def test_mil_finds_the_same_boxes_again_in_the_same_process():
     assert walk("mil") == walk("mil")
 
 
+@pytest.mark.parametrize(
+    ("start", "told"),
+    [
+        (Box(30, 30, 3, 3), "OpenCV's mil needs a target of at least 5 pixels on each side, not 30,30,3,3"),
+        (Box(-1e12, 0, 2e12, 10), "OpenCV's mil cannot start on -1e"),
+        (Box(-30, -30, 40, 40), "OpenCV's mil cannot start on -30,-30,40,40: .*posSamples"),
+    ],
+)
+def test_a_start_that_opencv_refuses_or_never_ends_is_a_value_error(start, told):
+    with pytest.raises(ValueError, match=told):
+        TrackerSpec.parse("mil").build().init(rendered.picture(*rendered.path_of_target(2)[0]), start)
+
+
 def test_what_opencv_lacks_is_said_when_it_is_built():
     lacking = [name for name in ("csrt", "kcf") if not opencv_has(name)]
     if not lacking:

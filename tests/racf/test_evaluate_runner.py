@@ -10,6 +10,7 @@ import pytest
 import tests.support.rendered_benchmarks as rendered
 from racf.box import Box
 from racf.evaluate.benchmarks import read_benchmark
+from racf.evaluate.outcomes import read_outcomes
 from racf.evaluate.report import build_report
 from racf.evaluate.runner import SequenceRun, jittered, run_all, run_task, tasks
 from racf.evaluate.stored import Stored
@@ -119,6 +120,35 @@ def test_stored_boxes_are_not_taken_for_those_of_other_starts_trackers_or_frames
         found = []
         run_all(others, folder=tmp_path, done=lambda task, run, stored: found.append(stored))  # noqa: B023
         assert found == [False]
+
+
+@pytest.mark.parametrize("left", [None, "", "1,2,3,4\n", "half"])
+def test_boxes_that_were_lost_or_cut_off_are_run_again(sequences, tmp_path, left):
+    todo = all_tasks(sequences[:1], jitter=0)
+    run_all(todo, folder=tmp_path)
+    (boxes,) = (tmp_path / "runs").rglob("*.txt")
+    boxes.unlink()
+    if left is not None:
+        boxes.write_text(left)
+    found = []
+    run_all(todo, folder=tmp_path, done=lambda task, run, stored: found.append(stored))
+    assert found == [False]
+
+
+def test_sequences_of_one_name_in_folders_of_one_name_keep_their_own_boxes(tmp_path):
+    for place in ("one/set", "two/set"):
+        rendered.plain_folder(tmp_path / "data" / place, ("walk",))
+    sequences = read_benchmark("folder", tmp_path / "data")
+    assert len({s.name for s in sequences}) == 2
+    sequences[1].truth[:] += 1  # another first box: another run
+    runs = run_all(all_tasks(sequences, jitter=1), folder=tmp_path / "out")
+    stored = read_outcomes(tmp_path / "out", sequences)["matcher"]
+    for s in sequences:
+        assert stored.boxes[s.name] == pytest.approx(runs["matcher", s.name, 0].boxes, abs=1e-3)
+        assert len(stored.jittered[s.name]) == 1
+    found = []
+    run_all(all_tasks(sequences, jitter=1), folder=tmp_path / "out", done=lambda task, run, there: found.append(there))
+    assert found == [True] * 4
 
 
 @pytest.mark.parametrize("left", [None, "", '{"key": "', "[]", "{}"])

@@ -1,5 +1,6 @@
 """A tracker that always answers 0.9 is believed only where our filter sees the target too."""
 
+import cv2
 import numpy as np
 import pytest
 
@@ -72,3 +73,62 @@ def test_what_follow_flies_of_opencvs_trackers_is_judged_and_ours_is_not():
     assert len(set(prints)) == 4
     with pytest.raises(ValueError, match="judged is true or false, not 'maybe'"):
         TrackerSpec.parse("mil,judged=maybe").check()
+
+
+class Failing(AlwaysSure):
+    """Raises what it has instead of a box, in `update` and, from the second start on, in `init`."""
+
+    def init(self, image: np.ndarray, box: Box) -> Track:
+        super().init(image, box)
+        if len(self.starts) > 1:
+            raise RuntimeError("no second start")
+        return self.track(box)
+
+    def update(self, image: np.ndarray) -> Track:
+        answer = self.boxes.pop(0)
+        if isinstance(answer, Exception):
+            raise answer
+        return self.track(answer)
+
+
+@pytest.mark.parametrize(
+    "failure", [ValueError("nan"), cv2.error("assertion"), RuntimeError("out of memory"), None, (1, 2, 3, 4)]
+)
+def test_a_tracker_that_fails_has_found_nothing_and_the_target_is_held_all_the_same(failure, caplog):
+    judged = JudgedBoxes(Failing([*walk(10), *[failure] * 40]))
+    judged.init(image(40, 100), box(40, 100))
+    tracks = [judged.update(image(40 + 3 * k, 100)) for k in range(1, 31)]
+    assert tracks[-1].found
+    assert tracks[-1].box.iou(box(130, 100)) > 0.5
+    assert not any(judged.update(GROUND).found for _ in range(10))
+    assert len(caplog.records) == 1
+    assert "Failing failed and counts as having found nothing" in caplog.text
+
+
+GREY = image(40, 100)[..., 0].copy()
+
+
+@pytest.mark.parametrize(
+    ("first", "then", "told"),
+    [
+        (None, GROUND, "must be given a target with init before update"),
+        (GREY, GROUND, r"images must keep the first one's shape \(240, 400\), not \(240, 400, 3\)"),
+        (GROUND, GROUND[:100], "images must keep the first one's shape"),
+        (GROUND, GROUND.astype(float), "an image has the type uint8, not float64"),
+        (GROUND, None, "an image is a numpy array, not NoneType"),
+    ],
+)
+def test_an_image_that_does_not_belong_is_refused_as_our_own_tracker_refuses_it(first, then, told):
+    judged = JudgedBoxes(AlwaysSure(walk(3)))
+    if first is not None:
+        judged.init(first, box(40, 100))
+    with pytest.raises(ValueError, match=told):
+        judged.update(then)
+
+
+@pytest.mark.parametrize("start", [(40, 100, 36, 36), Box(1000, 1000, 36, 36), Box(40, 100, 1, 36)])
+def test_a_box_that_cannot_start_a_tracker_starts_neither(start):
+    tracker = AlwaysSure([])
+    with pytest.raises(ValueError, match="target"):
+        JudgedBoxes(tracker).init(GROUND, start)
+    assert not tracker.starts

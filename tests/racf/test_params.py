@@ -69,7 +69,7 @@ OTHER: dict[str, tuple[Any, dict[str, Any]]] = {
     "lost_below": (0.3, {}), "regain_above": (0.95, {}), "confidence_rate": (0.3, {}),
     "confidence_rate_doubtful": (0.2, {}),
     "usual_psr_max": (60.0, {}), "usual_psr_min": (50.0, {"usual_psr_max": 60.0}), "least_psr": (30.0, {}),
-    "settle_frames": (30, {}), "strict_iou": (0.95, {}),
+    "settle_frames": (0, {"learn_above": 0.99, "usual_psr_max": 99.0}), "strict_iou": (0.95, {}),
     "velocity_rate": (0.1, {}), "velocity_decay": (0.5, {}), "redetect_glance": (0.9, {}),
     "redetect_near": (9.0, {"redetect_patience": 1}), "redetect_agree": (1, {"redetect_patience": 1}),
     "redetect_places": (0, {"redetect_patience": 1}),
@@ -104,11 +104,42 @@ def test_a_setting_that_would_take_the_memory_or_never_end_is_refused(name):
         ("sample_min_px=16,cell_px=8", r"sample_min_px is at least 32 \(4 cell_px\), not 16"),
         ("scale_model_area_px=10", r"scale_model_area_px is at least 64 \(4 cell_px²\), not 10"),
         ("scales=2", "scales is at least 3, not 2"),
+        ("penalty=1e-300", "penalty is at least 1e-06, not 1e-300"),
+        ("penalty_growth=0.5", "penalty_growth is at least 1.0, not 0.5"),
+        ("label_sigma=1e-300", "label_sigma is at least 1e-06, not 1e-300"),
+        ("refine_margin_px=-1e300", r"refine_margin_px is at least 0\.0, not -1e\+300"),
     ],
 )
 def test_a_setting_below_its_least_value_is_told_with_what_that_follows_from(wrong, told):
     with pytest.raises(ValueError, match=told):
         Racf(f"racf,{wrong}")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "told"),
+    [
+        ({"cell_px": "4"}, r"cell_px is a number \(int\), not '4'"),
+        ({"admm_iterations": 2.5}, r"admm_iterations is a number \(int\), not 2\.5"),
+        ({"scales": True}, r"scales is a number \(int\), not True"),
+        ({"ridge": None}, r"ridge is a number \(float\), not None"),
+        ({"coast": "false"}, "coast is true or false, not 'false'"),
+    ],
+)
+def test_a_setting_of_another_type_is_refused_when_it_is_given(wrong, told):
+    with pytest.raises(ValueError, match=told):
+        Params(**wrong)
+
+
+def test_numbers_of_numpy_are_numbers():
+    assert Params(cell_px=np.int64(5), ridge=np.float32(0.5)).cell_px == 5  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize("name", [name for name in AT_MOST if isinstance(AT_MOST[name], float)])
+def test_a_tracker_runs_at_the_largest_weights(name):
+    tracker = Racf(dataclasses.replace(ALL, **{name: AT_MOST[name]}))
+    tracker.init(clip()[0], START)
+    tracks = [tracker.update(image) for image in clip()[1:6]]
+    assert np.isfinite([[t.psr, t.apce, t.confidence, t.box.area] for t in tracks]).all()
 
 
 def test_robust_is_a_word_for_its_switches():

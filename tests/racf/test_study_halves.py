@@ -1,5 +1,7 @@
 """The two-fold study: nothing is judged on a sequence that chose it, and every start begins on a target."""
 
+import importlib.util
+import runpy
 import sys
 from pathlib import Path
 
@@ -115,6 +117,30 @@ def test_a_wrong_tracker_is_told_in_one_line_by_every_study(study, tmp_path, cap
     with pytest.raises(SystemExit):
         study.main()
     assert "'racff' is not known" in capsys.readouterr().err.splitlines()[-1]
+
+
+@pytest.mark.skipif(importlib.util.find_spec("distributed") is not None, reason="the extra dask is installed")
+@pytest.mark.parametrize("study", [halves, reliability])
+def test_a_cluster_that_cannot_be_used_is_told_in_one_line(study, twenty, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["study", str(twenty), "--tracker", "racf--", "--dask", "nonsense"])
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as end:
+        runpy.run_path(study.__file__, run_name="__main__")
+    assert end.value.code == 1
+    assert (
+        capsys.readouterr()
+        .err.splitlines()[-1]
+        .endswith("error: Dask needs the extra: pip install '.[dask]' in the clone")
+    )
+
+
+def test_sequences_too_short_for_an_occlusion_are_told_and_no_table_of_nothing_is_printed(twenty, capsys, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["study", str(twenty)])
+    with pytest.raises(SystemExit):
+        occlusions.main()
+    out, err = capsys.readouterr()
+    assert "long enough for an occlusion" in err.splitlines()[-1]
+    assert not out
 
 
 @pytest.mark.filterwarnings("default")  # of the cluster's own libraries

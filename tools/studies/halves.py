@@ -20,12 +20,14 @@ Finished runs are kept in OUT, and a later run with other trackers goes on from 
 
 import argparse
 import os
+import sys
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from racf.commandline import guarded
 from racf.evaluate.benchmarks import Sequence, read_benchmark
 from racf.evaluate.metrics import interval_of_mean, score
 from racf.evaluate.progress import bar
@@ -313,4 +315,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(guarded(main, prog="halves"))

@@ -16,6 +16,7 @@ drawing sequences with replacement; differences are paired by event.
 """
 
 import argparse
+import sys
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -27,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from racf.box import Box
+from racf.commandline import guarded
 from racf.evaluate.benchmarks import Sequence
 from racf.evaluate.images import FrameCache
 from racf.evaluate.metrics import overlaps
@@ -236,6 +238,8 @@ def main() -> None:
         parser.error(str(error))
     truth = {sequence.name: truth_of(sequence) for sequence in sequences}
     events = [event for sequence in sequences for event in drawn(sequence, args.seed)]
+    if not events:
+        parser.error(f"no sequence of {args.data} is long enough for an occlusion")
     print(f"{len(events)} events of {len({event.sequence for event in events})} sequences")
     theirs = run(args.against, events, truth, args.jobs, args.dask) if args.against else None
     for label in args.tracker or ["racf,robust"]:
@@ -246,4 +250,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(guarded(main, prog="occlusions"))

@@ -9,12 +9,14 @@ precision at 20 px / AUC in percent, the mean over all runs (strict convention: 
 
 import argparse
 import os
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from racf.commandline import guarded
 from racf.evaluate.benchmarks import Sequence, read_benchmark
 from racf.evaluate.metrics import Convention, score
 from racf.evaluate.progress import bar
@@ -62,4 +64,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(guarded(main, prog="other_starts"))

@@ -13,6 +13,7 @@ sequences with false finds.
 """
 
 import argparse
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -23,6 +24,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from racf.box import Box
+from racf.commandline import guarded
 from racf.evaluate import plots
 from racf.evaluate.benchmarks import Sequence
 from racf.evaluate.images import FrameCache
@@ -207,4 +209,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(guarded(main, prog="reliability"))
