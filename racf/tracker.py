@@ -47,7 +47,7 @@ class Racf:
     def init(self, image: UInt8, box: Box) -> Track:
         """Start on the target in `box`; raises ValueError for an invalid image or a box outside it.
 
-        A target without edges in both directions is never found: see `racf.texture`.
+        A target without edges in both directions is never found by `update`: see `racf.texture`.
         """
         image, params = checked_start(image, box), self.params
         self._frame_shape = image.shape

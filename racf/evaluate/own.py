@@ -13,6 +13,8 @@ import ast
 import hashlib
 import importlib
 import inspect
+import math
+import numbers
 import os
 import sys
 import traceback
@@ -27,6 +29,7 @@ from numpy.typing import NDArray
 
 from racf.box import Box
 from racf.errors import TrackerError
+from racf.evaluate.boxfiles import FARTHEST_PX
 from racf.track import Track
 
 Factory = Callable[[], Any]
@@ -65,16 +68,16 @@ class OwnTracker:
         except Exception as error:  # whatever your `update` raises
             raise self._failed("update", error) from error
         if isinstance(answer, Track):
-            if not isinstance(cast("object", answer.box), Box):
+            if wrong := _wrong_in(answer):
                 raise TrackerError(
-                    f"tracker {self._label}: the box of a racf.Track is a racf.Box, not {answer.box!r} {self._when()}"
+                    f"tracker {self._label}: in the racf.Track that update gives {self._when()}, {wrong}"
                 )
             self._box = answer.box
             return answer
         if answer is None:
             return self._track(found=False)
         try:
-            self._box = answer if isinstance(answer, Box) else Box(*answer)
+            self._box = _bounded(answer if isinstance(answer, Box) else Box(*answer))
         except (TypeError, ValueError) as error:
             raise TrackerError(
                 f"tracker {self._label}: update gives a racf.Box, x, y, w, h, a racf.Track or None, "
@@ -95,6 +98,31 @@ class OwnTracker:
 
     def _track(self, *, found: bool) -> Track:
         return Track(self._box, self._box, psr=np.nan, apce=np.nan, confidence=float(found), found=found)
+
+
+def _bounded(box: Box) -> Box:
+    """The box; raises ValueError for one that no file of boxes may hold."""
+    if max(abs(box.x), abs(box.y), box.w, box.h) > FARTHEST_PX:
+        raise ValueError(f"a box lies within {FARTHEST_PX:g} pixels, not {box}")
+    return box
+
+
+def _wrong_in(track: Track) -> str:
+    """What is wrong with a Track of a tracker of yours; "" if nothing is.  PSR and APCE may be NaN."""
+    box = cast("object", track.box)
+    if not isinstance(box, Box):
+        return f"the box is a racf.Box, not {box!r}"
+    try:
+        _bounded(box)
+    except ValueError as error:
+        return str(error)
+    for name in ("psr", "apce", "confidence"):
+        if not isinstance(value := getattr(track, name), numbers.Real):
+            return f"{name} is a number, not {value!r}"
+    for stage, ms in track.stage_ms.items():
+        if not isinstance(cast("object", ms), numbers.Real) or not math.isfinite(ms):
+            return f"the milliseconds of stage {stage!r} are a finite number, not {ms!r}"
+    return ""
 
 
 @dataclass(frozen=True)

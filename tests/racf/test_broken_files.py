@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 
 import tests.support.rendered_benchmarks as rendered
+from racf.box import Box
+from racf.errors import TrackerError
 from racf.evaluate import evaluate
 from racf.evaluate.images import read_frame
 from racf.evaluate.outcomes import read_outcomes
@@ -22,11 +24,15 @@ class Steady(Matcher):
         super().__init__(None)
 
 
-class TupleInTrack(Steady):
-    """Its Track holds a tuple."""
+class Answers(Steady):
+    """Its answer to each image is the one it was built with."""
+
+    def __init__(self, answer: object) -> None:
+        super().__init__()
+        self.answer = answer
 
     def update(self, image):
-        return Track((1, 2, 3, 4), (1, 2, 3, 4), 0.0, 0.0, 1.0)  # type: ignore[arg-type]
+        return self.answer
 
 
 @pytest.fixture
@@ -74,6 +80,39 @@ def test_a_note_that_holds_no_numbers_is_run_again_and_named_by_an_import(data, 
     assert json.loads(note.read_text())["stage_ms"] == whole["stage_ms"]
 
 
-def test_the_box_of_a_track_that_is_no_box_is_named(data):
-    with pytest.raises(ValueError, match=r"TupleInTrack: the box of a racf\.Track is a racf\.Box, not \(1, 2, 3, 4\)"):
-        evaluate(data, trackers=TupleInTrack, jobs=1, progress=False)
+def track(**changed: object) -> Track:
+    """A Track as a tracker gives it, with changes."""
+    usual: dict[str, object] = {
+        "box": Box(1, 2, 3, 4),
+        "search": Box(1, 2, 3, 4),
+        "psr": 9.0,
+        "apce": 9.0,
+        "confidence": 1.0,
+    }
+    return Track(**(usual | changed))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("answer", "told"),
+    [
+        (track(box=(1, 2, 3, 4)), r"the box is a racf\.Box, not \(1, 2, 3, 4\)"),
+        (track(box=Box(0, 0, 3e300, 4)), r"a box lies within 1e\+06 pixels, not 0,0,3e\+300,4"),
+        (track(confidence=None), "confidence is a number, not None"),
+        (track(stage_ms={"network": "fast"}), "the milliseconds of stage 'network' are a finite number, not 'fast'"),
+        (track(stage_ms={"network": float("nan")}), "the milliseconds of stage 'network' are a finite number, not nan"),
+        ((1e300, 0, 1, 1), r"a box lies within 1e\+06 pixels, not 1e\+300,0,1,1"),
+    ],
+)
+def test_an_answer_that_no_file_may_hold_is_named(data, answer, told):
+    with pytest.raises(TrackerError, match=f"tracker odd: .*in frame 1 after the start.*{told}"):
+        evaluate(data, trackers={"odd": lambda: Answers(answer)}, jobs=1, progress=False)
+
+
+def test_an_answer_whose_sharpness_is_unknown_is_taken(data, tmp_path):
+    answer = track(psr=float("nan"), apce=float("nan"), stage_ms={"network": 3})
+    for _ in range(2):
+        figures = evaluate(
+            data, trackers={"odd": lambda: Answers(answer)}, out=tmp_path, jobs=1, progress=False
+        ).figures()
+    assert figures["odd"]["sequences"]["walk"]["frames"] == 6
+    assert read_outcomes(tmp_path, evaluate(data, imports=str(tmp_path), progress=False).report.sequences)
