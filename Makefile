@@ -6,7 +6,7 @@ SOURCE ?= $(wildcard $(or $(RACF_DATA),../shared/data))
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: setup check test test-extras bench study faults demo lock format clean
+.PHONY: setup check test test-extras bench bench-env study faults demo lock format clean
 
 setup: $(STAMP)
 
@@ -40,6 +40,8 @@ $(BENCH)/.installed: pyproject.toml requirements.lock
 		$$(grep -oE '^opencv-python-headless==[^ ]+' requirements.lock | sed 's/python/contrib-python/')
 	$(BENCH)/bin/uv pip install --quiet --python $(BENCH)/bin/python --no-deps --no-build-isolation -e .
 	touch $@
+
+bench-env: $(BENCH)/.installed
 
 bench: $(BENCH)/.installed
 	$(BENCH)/bin/racf bench $(SOURCE) --updates 10000

@@ -20,6 +20,7 @@ from racf.evaluate.report import Table
 from racf.evaluate.stored import with_results
 from racf.evaluate.trackers import OPENCV, TrackerSpec, builders_of
 
+FEW = 10  # sequences: with ten a bootstrap interval holds nine of ten times what should be nineteen of twenty
 WIDTH_IN_A_PIPE = 160  # columns, so that nothing is folded where no terminal says how wide it is
 Many = tyro.conf.UseAppendAction[tuple[str, ...]]
 
@@ -161,6 +162,11 @@ def track(command: TrackCommand) -> None:
         f"{tracked.fps:.0f} frames/s, not found in {lost} frames"
     )
     if truth is not None:
+        if len(truth) != len(tracked.tracks):
+            judged = min(len(truth), len(tracked.tracks))
+            to_stderr(
+                f"{command.truth} has {len(truth)} rows, the source {len(tracked.tracks)} frames: {judged} are judged"
+            )
         score = tracked.score(truth)
         to_stderr(f"precision at 20 px {score.precision_20px:.1f} %, AUC {score.auc:.1f} %")
 
@@ -189,6 +195,8 @@ def evaluate_command(command: EvalCommand) -> None:
     else:
         for table in evaluation.summary:
             _show(table)
+        if 1 < (counted := len(evaluation.report.counted)) < FEW:
+            to_stderr(f"over {counted} sequences a 95 % interval is too narrow: {FEW} or more make it one")
 
 
 def _sweep(command: EvalCommand) -> studies.Sweep:

@@ -40,7 +40,7 @@ class Confidence:
     """
 
     def __init__(self, params: Params, *, featureless: bool = False) -> None:
-        self.params, self._most = params, FEATURELESS if featureless else 1.0
+        self.params, self.most = params, FEATURELESS if featureless else 1.0
         self.lost_frames = 0
         self._frames = 0
         self._psr, self._value = 0.0, 1.0  # 1: what the filter answers to the model that it was learned from
@@ -53,7 +53,7 @@ class Confidence:
         """
         usual_psr = min(max(self._psr, self.params.usual_psr_min), self.params.usual_psr_max)
         peak = max(value / self._value, 0.0) if self._value > 0 else 1.0
-        return self._most * min(math.sqrt(max(psr / usual_psr, 0.0) * peak), 1.0)
+        return self.most * min(math.sqrt(max(psr / usual_psr, 0.0) * peak), 1.0)
 
     def judge(self, psr: float, value: float, near: bool = True) -> Verdict:
         """The verdict on a frame.  A lost target is found again by a response of at least `regain_above`
@@ -66,7 +66,7 @@ class Confidence:
         """
         params, ratio = self.params, self.ratio(psr, value)
         self._frames += 1
-        sharp = psr >= params.least_psr and self._most == 1.0
+        sharp = psr >= params.least_psr and self.most == 1.0
         settling = sharp and self._frames <= params.settle_frames and psr * value >= OF_A_START
         if self.lost_frames:
             self.lost_frames = 0 if near and sharp and ratio >= params.regain_above else self.lost_frames + 1

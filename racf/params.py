@@ -5,6 +5,7 @@ Real-Time UAV Tracking" (2021); [ARCF] the published parameters of ARCF-HC, whos
 says it uses; [measured] points to the tables in docs/notebook.md and docs/study.md.
 """
 
+import difflib
 import math
 import numbers
 from dataclasses import dataclass, fields, replace
@@ -39,7 +40,8 @@ _FROM = {"sample_min_px": " (4 cell_px)", "sample_max_px": " (sample_min_px)", "
 class Params:
     """All numbers and switches of a tracker.  Lengths are pixels of the fixed-size sample unless a unit says otherwise.
 
-    `Params(...).robust()` switches on what a follower needs; as text that is `racf,robust` (see `preset`).
+    `Params(...).robust()` switches on what a follower needs.  `Params()` is `racf-`, so that `Params().robust()` is
+    `racf-,robust` as text; `racf` also refines: `preset("racf,robust")`.
     """
 
     # Sample and features [ARCF]
@@ -178,7 +180,10 @@ class Params:
             if name == "robust":  # stands for its switches; one that is named beside it overrides
                 base = self.robust(bool(_parse(name, text, bool)))
             elif name not in types:
-                raise ValueError(f"the tracker has no setting {name!r}; it has {', '.join(sorted([*types, 'robust']))}")
+                known = sorted([*types, "robust"])
+                near = difflib.get_close_matches(name, known, n=3)
+                told = f"did you mean {' or '.join(near)}?" if near else f"it has {', '.join(known)}"
+                raise ValueError(f"the tracker has no setting {name!r}; {told}")
             else:
                 values[name] = _parse(name, text, types[name])
         return replace(base, **values)

@@ -47,7 +47,8 @@ class Racf:
     def init(self, image: UInt8, box: Box) -> Track:
         """Start on the target in `box`; raises ValueError for an invalid image or a box outside it.
 
-        A target without edges in both directions is never found by `update`: see `racf.texture`.
+        A target without edges in both directions is never found, not here either: see `racf.texture`.  An earlier
+        target is forgotten.
         """
         image, params = checked_start(image, box), self.params
         self._frame_shape = image.shape
@@ -59,8 +60,9 @@ class Racf:
         self._velocity = Velocity(params.velocity_rate, params.velocity_decay)
         self._redetection = Redetection(params)
         self._filter.learn(image, box)
-        self._scale.learn(image, box)
-        return Track(box, self._filter.region(box), psr=0.0, apce=0.0, confidence=1.0)
+        self._learn_scale(image)
+        most = self._confidence.most
+        return Track(box, self._filter.region(box), psr=0.0, apce=0.0, confidence=most, found=most == 1.0)
 
     def update(self, image: UInt8, prior: Box | None = None) -> Track:
         """Find the target in the next image; `prior`: where the caller expects it, if it knows.
@@ -95,7 +97,7 @@ class Racf:
         if trusted:
             self._filter.learn(image, self._box, self._belief(match))
             clock.lap("learn filter")
-            self._scale.learn(image, self._box)
+            self._learn_scale(image)
             clock.lap("learn scale")
         self._velocity.seen(before, self._box)
         return self._track(expected, match, refinement, verdict, clock)
@@ -155,6 +157,9 @@ class Racf:
         steps = self._scale.estimate(image, self._box)
         if steps:
             self._box = self._kept_inside(self._box.scaled(params.scale_step**steps))
+
+    def _learn_scale(self, image: UInt8) -> None:
+        self._scale.learn(image, self._box)
 
     def _refine(self, image: UInt8) -> Refinement | None:
         if not self.params.refine:

@@ -267,7 +267,8 @@ class _Decoded:
 
 def _opened(path: str | Path) -> Any:
     if not Path(path).is_file():
-        raise VideoError(f"{path} is not a file")
+        what = "is a folder: read its images one by one, with cv2.imread" if Path(path).is_dir() else "is not a file"
+        raise VideoError(f"{path} {what}")
     try:
         # `file:` so that a colon in the name is not taken for a protocol's.
         return av.open(f"file:{path}", **ANY_TEXT)

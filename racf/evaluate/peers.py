@@ -41,12 +41,9 @@ class Peer:
     """
 
     def __init__(self, name: str, *, refine: bool = False, files: Mapping[str, str] | None = None) -> None:
+        require_opencv(name)
         make = _opencv_maker(name)
-        if make is None:
-            raise ValueError(
-                f"OpenCV {cv2.__version__} here has no {name} tracker: in a clone `make bench` builds .venv-bench, "
-                "which has; elsewhere opencv-contrib-python-headless in the place of opencv-python-headless"
-            )
+        assert make is not None
         try:
             tracker = make(_opencv_parameters(name, files)) if files else make()
         except cv2.error as error:
@@ -54,6 +51,7 @@ class Peer:
         self._tracker = Refined(tracker) if refine else tracker
         self._score: Callable[[], float] | None = getattr(tracker, "getTrackingScore", None)
         self._name, self._box = name, Box(0, 0, 1, 1)
+        self._files = ", ".join(f"{key} is {path}" for key, path in (files or {}).items())
 
     def init(self, image: NDArray[np.uint8], box: Box) -> Track:
         """Start on `box`, rounded to whole pixels; MIL draws the same random features each time.
@@ -67,7 +65,10 @@ class Peer:
         try:
             self._tracker.init(image, (round(box.x), round(box.y), round(box.w), round(box.h)))
         except cv2.error as error:
-            raise ValueError(f"OpenCV's {self._name} cannot start on {box}: {' '.join(str(error).split())}") from None
+            asked = f"; check its files: {self._files}" if self._files else ""
+            raise ValueError(
+                f"OpenCV's {self._name} cannot start on {box}{asked}: {' '.join(str(error).split())}"
+            ) from None
         self._box = box
         return self._track(True)
 
@@ -86,6 +87,16 @@ class Peer:
 def opencv_has(name: str) -> bool:
     """Whether the installed OpenCV brings this tracker."""
     return _opencv_maker(name) is not None
+
+
+def require_opencv(name: str) -> None:
+    """Raise ValueError if the installed OpenCV does not bring this tracker."""
+    if not opencv_has(name):
+        raise ValueError(
+            f"OpenCV {cv2.__version__} here has no {name} tracker: in a clone `make bench-env` builds one that has, "
+            "and .venv-bench/bin/racf uses it; elsewhere opencv-contrib-python-headless in the place of "
+            "opencv-python-headless"
+        )
 
 
 def peer_settings(name: str, settings: Mapping[str, str]) -> tuple[bool, dict[str, str]]:

@@ -21,7 +21,7 @@ from typing_extensions import Self
 import racf
 from racf.evaluate import own
 from racf.evaluate.own import OwnSpec
-from racf.evaluate.peers import NETWORKS, OPENCV, PEERS, Peer, digest_of, opencv_has, peer_settings
+from racf.evaluate.peers import NETWORKS, OPENCV, PEERS, Peer, digest_of, opencv_has, peer_settings, require_opencv
 from racf.evaluate.runner import Tracker, TrackerBuilder
 from racf.judged import JudgedBoxes
 from racf.params import PRESETS, Params, preset, split_settings
@@ -55,8 +55,9 @@ class TrackerSpec:
         return cls(",".join(parts), name, settings)
 
     def check(self) -> None:
-        """Raise ValueError for a name or a setting that is not known."""
+        """Raise ValueError for a name or a setting that is not known, or a tracker that is not installed."""
         if self.name in OPENCV:
+            require_opencv(self.name)
             self._peer()
         elif ":" in self.name:
             own.build(self.name, dict(self.settings))

@@ -283,7 +283,12 @@ def test_a_video_is_tracked_from_its_annotation_and_keeps_its_rate(tmp_path, cap
     film = tmp_path / "film.avi"
     options = ["--truth", truth, "--out", tmp_path / "boxes.txt", "--overlay", film]
     assert command("track", tmp_path / "clip.mp4", *options) == 0
-    assert "8 boxes" in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert "8 boxes" in told
+    assert "rows" not in told
+    truth.write_text("\n".join(truth.read_text().splitlines()[:5]))
+    assert command("track", tmp_path / "clip.mp4", *options) == 0
+    assert "5 rows, the source 8 frames: 5 are judged" in capsys.readouterr().err
     with racf.Video(film) as video:
         assert video.fps == pytest.approx(30)
     assert command("track", tmp_path / "clip.mp4", *options[:-1], tmp_path / "film.gif") == 2

@@ -10,7 +10,7 @@ import pytest
 import tests.support.rendered_benchmarks as rendered
 from racf.box import Box
 from racf.evaluate.peers import NETWORKS
-from racf.evaluate.trackers import OPENCV, TrackerSpec, opencv_has
+from racf.evaluate.trackers import OPENCV, TrackerSpec, builders_of, opencv_has
 
 
 def walk(name: str, frames: int = 12) -> list[Box]:
@@ -85,8 +85,14 @@ def test_what_opencv_lacks_is_said_when_it_is_built():
     lacking = [name for name in ("csrt", "kcf") if not opencv_has(name)]
     if not lacking:
         pytest.skip("this OpenCV has every tracker")
-    with pytest.raises(ValueError, match=f"has no {lacking[0]} tracker: in a clone `make bench`"):
+    with pytest.raises(ValueError, match=f"has no {lacking[0]} tracker: in a clone `make bench-env`"):
         TrackerSpec.parse(lacking[0]).build()
+
+
+def test_what_opencv_lacks_is_said_before_anything_runs(monkeypatch):
+    monkeypatch.delattr(cv2, "TrackerMIL_create")
+    with pytest.raises(ValueError, match="has no mil tracker"):
+        builders_of(["racf", "mil"])
 
 
 def test_a_fingerprint_tells_apart_whatever_could_change_the_boxes():

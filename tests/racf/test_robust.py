@@ -100,7 +100,9 @@ def without_features(kind: str, random: np.random.Generator) -> np.ndarray:
 def test_a_first_box_without_features_is_not_called_found_within_five_frames(kind, side, preset):
     random = np.random.default_rng(3)
     tracker = Racf(preset)
-    tracker.init(without_features(kind, random), Box(180, 120, side, side))
+    first = tracker.init(without_features(kind, random), Box(180, 120, side, side))
+    assert not first.found
+    assert first.confidence < ROBUST.regain_above
     tracks = [tracker.update(without_features(kind, random)) for _ in range(12)]
     assert not any(track.found for track in tracks[4:])
     assert max(track.confidence for track in tracks[4:]) < ROBUST.regain_above

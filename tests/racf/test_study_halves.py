@@ -101,9 +101,25 @@ def test_a_study_reads_the_runs_that_it_left(twenty, tmp_path, capsys, monkeypat
     assert printed(capsys, monkeypatch, *asked) != first
 
 
+def test_some_of_the_sequences_are_enough_and_the_authors_boxes_are_not_needed(twenty, tmp_path, capsys, monkeypatch):
+    (twenty / "results" / "RACF" / "person11.txt").unlink()
+    some = ("--tracker", "racf--", "--against", "racf--", "--only", "person11", "--out", tmp_path / "out")
+    monkeypatch.setattr(sys, "argv", ["halves", str(twenty), *map(str, some)])
+    main()
+    out, err = capsys.readouterr()
+    assert [cell.strip() for cell in out.splitlines()[0].split("|")][2:5] == ["half A", "half B", "all 1"]
+    assert [cell.strip() for cell in out.splitlines()[-1].split("|")][1:3] == ["`racf--`", "-"]
+    assert "without the authors' row: person11, in a folder data, has no boxes of RACF in" in err
+
+
 @pytest.mark.parametrize(
     ("wrong", "told"),
-    [(("--tracker", "racff"), "'racff' is not known"), (("--jobs", -1), "--jobs: a whole number of at least 0")],
+    [
+        (("--tracker", "racff"), "'racff' is not known"),
+        (("--jobs", -1), "--jobs: a whole number of at least 0"),
+        (("--only", "person11"), "--only goes with --tracker"),
+        (("--tracker", "racf", "--only", "person99"), "--only names sequences of the study"),
+    ],
 )
 def test_wrong_arguments_are_told_in_one_line_before_anything_runs(twenty, capsys, monkeypatch, wrong, told):
     with pytest.raises(SystemExit):

@@ -209,6 +209,8 @@ def test_settings_are_parsed_by_their_type_and_refused_by_name():
     assert params == dataclasses.replace(preset("racf"), residue=0.5, admm_iterations=3).robust()
     with pytest.raises(ValueError, match="no setting 'eta'"):
         params.with_settings({"eta": "1"})
+    with pytest.raises(ValueError, match="no setting 'robst'; did you mean robust"):
+        params.with_settings({"robst": ""})
     with pytest.raises(ValueError, match="admm_iterations is a number"):
         params.with_settings({"admm_iterations": "two"})
     with pytest.raises(ValueError, match="admm_iterations is at least 1, not 0"):

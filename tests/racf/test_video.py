@@ -250,9 +250,11 @@ def test_a_link_is_followed_and_a_pipe_a_folder_and_nothing_are_refused(tmp_path
     assert len(shown(tmp_path / "link.mp4")[0]) == 5
     (tmp_path / "dangling.mp4").symlink_to(tmp_path / "nowhere")
     os.mkfifo(tmp_path / "pipe.mp4")
-    for name in ("dangling.mp4", "pipe.mp4", "nothing.mp4", "."):
+    for name in ("dangling.mp4", "pipe.mp4", "nothing.mp4"):
         with pytest.raises(VideoError, match="is not a file"):
             Video(tmp_path / name)
+    with pytest.raises(VideoError, match="is a folder: read its images one by one"):
+        Video(tmp_path)
 
 
 def test_sound_beside_the_video_and_a_tag_that_is_not_utf8_do_no_harm(tmp_path):

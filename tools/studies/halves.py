@@ -23,6 +23,7 @@ import os
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -194,18 +195,27 @@ def two_fold(candidates: Mapping[str, Figures]) -> tuple[list[Fold], Figures]:
     return folds, reported
 
 
-def read_halves(data: Path) -> list[Sequence]:
-    """The twenty sequences; raises ValueError naming those that are missing."""
-    wanted = {name for half in HALVES.values() for name in half}
+def read_halves(data: Path, only: Iterable[str] | None = None) -> list[Sequence]:
+    """The twenty sequences, or `only` some of them; raises ValueError naming those that are missing or not of them."""
+    every = {name for half in HALVES.values() for name in half}
+    wanted = every if only is None else set(only)
+    if others := wanted - every:
+        raise ValueError(f"--only names sequences of the study, {', '.join(sorted(every))}; not {', '.join(others)}")
     found = [s for s in read_benchmark("folder", data) if s.name in wanted and s.frames]
     if missing := wanted - {s.name for s in found}:
-        raise ValueError(f"{data} lacks {', '.join(sorted(missing))} of the study's twenty sequences")
+        raise ValueError(
+            f"{data} lacks {', '.join(sorted(missing))} of the study's twenty sequences; --only runs some of them"
+        )
     return found
 
 
 def authors(data: Path, sequences: list[Sequence], tracker: str) -> Figures:
-    """The authors' own boxes, from their one start."""
+    """The authors' own boxes, from their one start; raises ValueError naming the sequences that have none."""
     stored = read_stored(data / "results", tracker, sequences)
+    if missing := [s for s in sequences if s.name not in stored.boxes]:
+        one = missing[0]
+        looked_for = data / "results" / one.benchmark / tracker / f"{one.name}.txt"
+        raise ValueError(f"{one.name}, in a folder {one.benchmark}, has no boxes of {tracker} in {looked_for}")
     judged = {s.name: score(stored.boxes[s.name], s.truth) for s in sequences}
     return {name: (s.precision_20px, s.auc) for name, s in judged.items()}
 
@@ -224,11 +234,14 @@ def measure(
 
 
 def table(measured: Mapping[str, Figures], against: Figures, name: str) -> str:
-    """A row a tracker: both halves, all twenty, and the paired difference from `against` over the twenty."""
-    every = [*HALVES["A"], *HALVES["B"]]
-    lines = [f"| tracker | half A | half B | all twenty | less `{name}`, with 95 % |", "|---|---|---|---|---|"]
+    """A row a tracker: both halves, all sequences, and the paired difference from `against` over all."""
+    halves = [[name for name in half if name in against] for half in HALVES.values()]
+    every = list(chain(*halves))
+    count = "all twenty" if len(every) == sum(map(len, HALVES.values())) else f"all {len(every)}"
+    lines = [f"| tracker | half A | half B | {count} | less `{name}`, with 95 % |", "|---|---|---|---|---|"]
     for label, of in measured.items():
-        cells = [f"{p:.1f} / {a:.1f}" for p, a in (over(of, names) for names in (HALVES["A"], HALVES["B"], every))]
+        pairs = [over(of, names) if names else None for names in (*halves, every)]
+        cells = ["-" if pair is None else f"{pair[0]:.1f} / {pair[1]:.1f}" for pair in pairs]
         lines.append(f"| `{label}` | {' | '.join(cells)} | {difference(of, against, every)} |")
     return "\n".join(lines)
 
@@ -293,6 +306,7 @@ def main() -> None:
     )
     parser.add_argument("--against", type=tracker_label, default="arcf-hc", help="differences are to this tracker")
     parser.add_argument("--starts", choices=STARTS, default="five", help="which starts, by how many there are")
+    parser.add_argument("--only", action="append", help="only this sequence; can be given several times")
     parser.add_argument("--jobs", type=processes, default="0", help="number of processes; 0: one for each core")
     parser.add_argument("--dask", help="address of a running Dask scheduler")
     args = parser.parse_args()
@@ -300,13 +314,22 @@ def main() -> None:
         *PRESENTED, *(label for family in FAMILIES.values() for label in (family.default, *family.others)),
     ]  # fmt: skip
     labels = list(dict.fromkeys([args.against, *asked]))
+    if args.only and not args.tracker:
+        parser.error("--only goes with --tracker: without it the best of each half is chosen, over whole halves")
     try:
-        sequences = read_halves(args.data)
+        sequences = read_halves(args.data, args.only)
     except (OSError, ValueError) as error:
         parser.error(str(error))
+    try:
+        published = {AUTHORS: authors(args.data, sequences, "RACF")}
+    except ValueError as error:
+        if not args.tracker:
+            parser.error(str(error))
+        print(f"without the authors' row: {error}", file=sys.stderr)
+        published = dict[str, Figures]()
     measured = measure(labels, sequences, STARTS[args.starts], args.out, args.jobs, args.dask)
     against = TrackerSpec.parse(args.against).label
-    shown = {AUTHORS: authors(args.data, sequences, "RACF"), **measured}
+    shown = {**published, **measured}
     print(table(shown, measured[against], against))
     if not args.tracker:
         print("\n" + claims(shown))

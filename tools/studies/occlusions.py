@@ -212,7 +212,7 @@ def differences(ours: dict[Event, Judged], theirs: dict[Event, Judged] | None, n
 def table(ours: dict[Event, Judged], theirs: dict[Event, Judged] | None) -> str:
     """All measures over all sequences with their intervals, and over either half."""
     sign = "+" if theirs is not None else ""
-    lines = ["| percent | all twenty | half A | half B |", "|---|---|---|---|"]
+    lines = ["| percent | all | half A | half B |", "|---|---|---|---|"]
     for name in MEASURES:
         mean, low, high = differences(ours, theirs, name)
         halves = []
@@ -226,6 +226,7 @@ def table(ours: dict[Event, Judged], theirs: dict[Event, Judged] | None) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description="What a tracker does when something slowly hides its target.")
     parser.add_argument("data", type=Path)
+    parser.add_argument("--only", action="append", help="only this sequence; can be given several times")
     parser.add_argument("--tracker", type=tracker_label, action="append", help="default: racf,robust")
     parser.add_argument("--against", type=tracker_label, help="print the differences from this tracker too")
     parser.add_argument("--seed", type=whole, default="0", help="other events with another number")
@@ -233,7 +234,7 @@ def main() -> None:
     parser.add_argument("--dask", help="address of a running Dask scheduler")
     args = parser.parse_args()
     try:
-        sequences = read_halves(args.data)
+        sequences = read_halves(args.data, args.only)
     except (OSError, ValueError) as error:
         parser.error(str(error))
     truth = {sequence.name: truth_of(sequence) for sequence in sequences}

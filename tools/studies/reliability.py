@@ -192,6 +192,7 @@ def measure(label: str, sequences: list[Sequence], starts: Starts, jobs: int, da
 def main() -> None:
     parser = argparse.ArgumentParser(description="The reliability diagram of a tracker's confidence.")
     parser.add_argument("data", type=Path)
+    parser.add_argument("--only", action="append", help="only this sequence; can be given several times")
     parser.add_argument("--tracker", type=tracker_label, default="racf,robust")
     parser.add_argument("--starts", choices=STARTS, default="five", help="which starts, by how many there are")
     parser.add_argument("--jobs", type=processes, default="0", help="number of processes; 0: one for each core")
@@ -199,7 +200,7 @@ def main() -> None:
     parser.add_argument("--draw", type=Path, help="draw the diagram into this .svg file")
     args = parser.parse_args()
     try:
-        sequences = read_halves(args.data)
+        sequences = read_halves(args.data, args.only)
     except (OSError, ValueError) as error:
         parser.error(str(error))
     by_sequence = measure(args.tracker, sequences, STARTS[args.starts], args.jobs, args.dask)
