@@ -22,7 +22,6 @@ from racf import Racf
 from racf.box import Box
 from racf.commandline import StopReported, UsageError
 from racf.evaluate.trackers import TrackerSpec
-from racf.judged import JudgedBoxes
 from racf.track import Track
 from racf.tracker import warm_up
 
@@ -36,7 +35,7 @@ def tracker_of(name: str) -> tuple[Start, Update]:
         tracker = TrackerSpec.parse(name).flown().build()
     except ValueError as error:
         raise UsageError(f"--tracker: {error}") from None
-    if isinstance(tracker, Racf | JudgedBoxes):
+    if isinstance(tracker, Racf):
         warm_up()
         return tracker.init, tracker.update
     return tracker.init, lambda image, _prior: tracker.update(image)
