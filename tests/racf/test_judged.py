@@ -8,7 +8,7 @@ from racf.box import Box
 from racf.evaluate.trackers import TrackerSpec
 from racf.judged import JudgedBoxes
 from racf.track import Track
-from tests.racf.test_robust import GROUND, box, image
+from tests.racf.test_robust import GROUND, SIDE, TARGET, box, image
 
 
 class AlwaysSure:
@@ -61,6 +61,30 @@ def test_a_box_that_stays_behind_while_the_target_walks_on_is_taken_back_to_it()
         assert not track.found or track.box.iou(box(40 + 3 * k, 100)) > 0.2
     assert len(frozen.starts) > 1
     assert frozen.starts[1].x > 70  # where the target is, not where the tracker looked
+
+
+@pytest.mark.parametrize("speed", [0.5, 1, 2, 4])
+def test_a_box_that_slides_onto_the_neighbour_does_not_take_ours_along(speed):
+    """Both look alike and stand side by side: what is learned where the box is would be the neighbour in the end."""
+    crowd, last = image(100, 100), 40
+    crowd[100 : 100 + SIDE, 100 + last : 100 + last + SIDE] = np.roll(TARGET, (3, 5), (0, 1))
+    sliding = AlwaysSure([Box(100 + min(speed * k, last), 100, SIDE, SIDE) for k in range(1, 161)])
+    judged = JudgedBoxes(sliding)
+    judged.init(crowd, box(100, 100))
+    tracks = [judged.update(crowd) for _ in range(160)]
+    assert tracks[0].found
+    assert all(not track.found or track.box.iou(box(100, 100)) > 0.2 for track in tracks)
+    assert len(sliding.starts) > 1
+    assert all(start.iou(box(100, 100)) > 0.8 for start in sliding.starts)
+
+
+def test_the_size_is_the_other_trackers():
+    sizes = [Box.around(118, 118, 36 + 0.5 * k, 36 - 0.2 * k) for k in range(1, 21)]
+    judged = JudgedBoxes(AlwaysSure(sizes))
+    judged.init(image(100, 100), box(100, 100))
+    tracks = [judged.update(image(100, 100)) for _ in range(20)]
+    assert [track.box for track in tracks] == sizes
+    assert tracks[-1].search.w == pytest.approx(5 * (46 * 32) ** 0.5, rel=0.03)
 
 
 def test_what_follow_flies_of_opencvs_trackers_is_judged_and_ours_is_not():
