@@ -33,8 +33,8 @@ class Racf:
         track = tracker.init(image, racf.Box(x, y, w, h))
         track = tracker.update(next_image)  # a racf.Track: box, confidence, found
 
-    A program calls `racf.one_core()` first, because BLAS's threads spin while they wait: a 1280x720 image takes eight
-    to nine times as long without it (104 to 125 ms instead of 13.5, on a shared machine of two cores).
+    A program calls `racf.one_core()` first, because BLAS's threads spin while they wait: on a shared machine of two
+    cores an image takes five to ten times as long without it.
 
     Images are uint8, (rows, columns, 3) in BGR or (rows, columns) in grey, all of one size.  As a side effect the
     refinement seeds OpenCV's random generator (see `racf.Refiner`).  An unknown preset or setting is a ValueError.

@@ -1,7 +1,7 @@
 """What a frame costs: its share of a camera's time, processor cycles, and the least operations and bytes it needs.
 
-Cycles and bytes are what a reader needs to estimate another processor: milliseconds = cycles / its clock, and no less
-than the bytes over its memory's or cache's bandwidth.
+Cycles over its clock are a first guess for another processor of the same kind: they do not carry over to one that does
+more or fewer operations a cycle.  No processor is faster than the bytes over its memory's or cache's bandwidth.
 """
 
 from pathlib import Path

@@ -9,7 +9,7 @@ of 0.3, and as off it without any overlap, also if the annotation says that the 
 
 Prints the share of frames off the target that are called found, and of those on it that are called lost, each with a
 95 % bootstrap interval over sequences (all frames of a sequence are one draw); the diagram as a table; and the
-sequences with false finds.
+sequences with false positives.
 """
 
 import argparse
@@ -172,7 +172,7 @@ def text(by_sequence: Mapping[str, Frames]) -> str:
     ]
     false = {name: int(np.sum(frames.off & frames.found)) for name, frames in by_sequence.items()}
     worst = sorted((name for name in false if false[name]), key=lambda name: -false[name])
-    return "\n".join([*lines, "", "false finds: " + ", ".join(f"{name} {false[name]}" for name in worst)])
+    return "\n".join([*lines, "", "false positives: " + ", ".join(f"{name} {false[name]}" for name in worst)])
 
 
 def measure(label: str, sequences: list[Sequence], starts: Starts, jobs: int, dask: str | None) -> dict[str, Frames]:
