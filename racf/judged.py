@@ -4,11 +4,12 @@ Ours finds the target by itself, with its confidence, gate and re-detection, and
 the target's size.  So they err apart: of the frames in which NanoTrack and `racf,robust` were on one place, the target
 was elsewhere in 0.7 %; NanoTrack alone is elsewhere in 14 % (twenty sequences, docs/confidence.md).  Where they agree
 the answer is the other tracker's box; while they do not, nothing is found.  What lasts is settled in favour of ours,
-which has a confidence: the other tracker starts again on our box.  A tracker that fails, or answers without a box, has
-found nothing in that image, and ours follows alone.
+which has a confidence: the other tracker starts again on our box.  A tracker that fails, answers
+without a box, or says itself that it has found nothing, has found nothing in that image, and ours follows alone.
 """
 
 import logging
+import time
 from dataclasses import replace
 from typing import Protocol, cast
 
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from racf.box import Box
 from racf.params import Params
 from racf.track import Track
-from racf.tracker import Racf, checked_next
+from racf.tracker import Racf, checked_next, checked_start
 
 LOG = logging.getLogger("racf")
 UInt8 = NDArray[np.uint8]
@@ -41,6 +42,7 @@ class JudgedBoxes(Racf):
     """The boxes of `tracker` where ours sees the target too, with our PSR, confidence and verdict.
 
     After `params.redetect_agree` frames apart, and when ours has found a lost target again, `tracker` starts again.
+    Ours is `racf-,robust` unless `params` says otherwise.  A size that `tracker` slowly gets wrong is not noticed.
     """
 
     def __init__(self, tracker: JudgedTracker, params: Params | None = None) -> None:
@@ -49,10 +51,10 @@ class JudgedBoxes(Racf):
 
     def init(self, image: UInt8, box: Box) -> Track:
         """Start both on `box`; raises ValueError for an invalid image or box, and whatever the tracker raises."""
+        image = checked_start(image, box)
+        self.tracker.init(image, box)  # first: while it refuses to start, there is no target
         self._theirs, self._apart, self._has_failed = None, 0, False
-        track = super().init(image, box)
-        self.tracker.init(image, box)
-        return track
+        return super().init(image, box)
 
     def update(self, image: UInt8, prior: Box | None = None) -> Track:
         """The tracker's next box if ours agrees, and what ours says of it; `prior`: where the caller expects it.
@@ -60,9 +62,11 @@ class JudgedBoxes(Racf):
         The tracker's errors are logged, once after each start.  Raises ValueError as `racf.Racf.update` does.
         """
         image = checked_next(image, self._frame_shape, prior)
-        was_lost, answer = self._confidence.lost_frames > 0, self._answer(image)
+        was_lost, since = self._confidence.lost_frames > 0, time.perf_counter()
+        answer, spent_ms = self._answer(image), (time.perf_counter() - since) * 1e3
         self._theirs = None if answer is None else self._kept_inside(answer)
         track = super().update(image, prior)
+        track.stage_ms["other tracker"] = spent_ms
         if not track.found:
             self._apart = 0
             return track
@@ -90,11 +94,14 @@ class JudgedBoxes(Racf):
         """Nothing: the other tracker knows the size."""
 
     def _answer(self, image: UInt8) -> Box | None:
-        """The tracker's next box, None if it fails."""
+        """The tracker's next box, None if it fails or says itself that it has not found the target."""
         try:
-            box = cast("object", self.tracker.update(image).box)
+            track = self.tracker.update(image)
+            box, has_found = cast("object", track.box), track.found
         except Exception as error:  # noqa: BLE001 - whatever a tracker raises: a flight goes on
             return self._failed(f"{type(error).__name__}: {error}")
+        if not has_found:
+            return None
         return box if isinstance(box, Box) else self._failed(f"it answered {box!r} instead of a racf.Box")
 
     def _restart(self, image: UInt8, box: Box) -> None:

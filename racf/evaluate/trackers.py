@@ -81,7 +81,7 @@ class TrackerSpec:
 
     def flown(self) -> Self:
         """The same as `follow` flies it: a tracker of OpenCV's, which may answer whatever it sees, is judged."""
-        is_peer = self.name in OPENCV and not dict(self.settings).get("judged")
+        is_peer = self.name in OPENCV and dict(self.settings).get("judged", "false") == "false"
         return replace(self, settings=(*self.settings, ("judged", "true"))) if is_peer else self
 
     def _peer(self) -> tuple[bool, bool, dict[str, str]]:

@@ -1,5 +1,7 @@
 """A tracker that always answers 0.9 is believed only where our filter sees the target too."""
 
+import dataclasses
+
 import cv2
 import numpy as np
 import pytest
@@ -90,6 +92,7 @@ def test_the_size_is_the_other_trackers():
 def test_what_follow_flies_of_opencvs_trackers_is_judged_and_ours_is_not():
     assert isinstance(TrackerSpec.parse("mil").flown().build(), JudgedBoxes)
     assert not isinstance(TrackerSpec.parse("mil").build(), JudgedBoxes)
+    assert isinstance(TrackerSpec.parse("mil,judged=false").flown().build(), JudgedBoxes)
     assert TrackerSpec.parse("racf,robust").flown() == TrackerSpec.parse("racf,robust")
     prints = [
         TrackerSpec.parse(name).fingerprint() for name in ("mil", "mil,judged", "mil,refine", "mil,judged,refine")
@@ -156,3 +159,43 @@ def test_a_box_that_cannot_start_a_tracker_starts_neither(start):
     with pytest.raises(ValueError, match="target"):
         JudgedBoxes(tracker).init(GROUND, start)
     assert not tracker.starts
+
+
+class Refusing(AlwaysSure):
+    """Refuses to start, as OpenCV's MIL does on four pixels; an update of that one then ends the process."""
+
+    def init(self, image: np.ndarray, box: Box) -> Track:
+        raise ValueError(f"cannot start on {box}")
+
+
+def test_a_tracker_that_refuses_to_start_leaves_no_target_behind():
+    tracker = Refusing(walk(3))
+    judged = JudgedBoxes(tracker)
+    with pytest.raises(ValueError, match="cannot start on 40,100,36,36"):
+        judged.init(image(40, 100), box(40, 100))
+    with pytest.raises(ValueError, match="must be given a target with init before update"):
+        judged.update(image(43, 100))
+    assert tracker.boxes == walk(3)  # it was not asked
+
+
+class Honest(AlwaysSure):
+    """Says that it has found nothing, and answers its last box, as OpenCV's KCF does."""
+
+    def update(self, image: np.ndarray) -> Track:
+        return dataclasses.replace(self.track(self.starts[-1]), found=False)
+
+
+def test_a_tracker_that_says_itself_that_it_has_found_nothing_leaves_ours_alone(caplog):
+    judged = JudgedBoxes(Honest([]))
+    judged.init(image(40, 100), box(40, 100))
+    tracks = [judged.update(image(40 + 3 * k, 100)) for k in range(1, 31)]
+    assert all(track.found and track.box.iou(box(40 + 3 * k, 100)) > 0.5 for k, track in enumerate(tracks, start=1))
+    assert not caplog.records
+
+
+def test_the_stages_tell_what_the_other_tracker_took():
+    judged = JudgedBoxes(AlwaysSure(walk(1)))
+    judged.init(image(40, 100), box(40, 100))
+    stages = judged.update(image(43, 100)).stage_ms
+    assert stages["other tracker"] >= 0
+    assert stages["localise"] > 0
