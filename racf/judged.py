@@ -24,6 +24,7 @@ from racf.tracker import Racf, checked_next, checked_start
 LOG = logging.getLogger("racf")
 UInt8 = NDArray[np.uint8]
 AGREE_IOU = 0.3  # least overlap of two boxes on one target: alike, they are half a side apart at most
+MOST_GROWTH = 1.3  # of a side from frame to frame: a filter whose size is wrong by 1.8 in one frame loses its target
 
 
 class JudgedTracker(Protocol):
@@ -87,8 +88,10 @@ class JudgedBoxes(Racf):
     def _estimate_scale(self, image: UInt8) -> None:
         """The size is the other tracker's, while it is on the same place."""
         if self._theirs is not None and self._agrees(self._theirs):
-            at = self._box
-            self._box = self._kept_inside(Box.around(at.centre_x, at.centre_y, self._theirs.w, self._theirs.h))
+            at, theirs = self._box, self._theirs
+            w = min(max(theirs.w, at.w / MOST_GROWTH), at.w * MOST_GROWTH)
+            h = min(max(theirs.h, at.h / MOST_GROWTH), at.h * MOST_GROWTH)
+            self._box = self._kept_inside(Box.around(at.centre_x, at.centre_y, w, h))
 
     def _learn_scale(self, image: UInt8) -> None:
         """Nothing: the other tracker knows the size."""

@@ -89,6 +89,18 @@ def test_the_size_is_the_other_trackers():
     assert tracks[-1].search.w == pytest.approx(5 * (46 * 32) ** 0.5, rel=0.03)
 
 
+@pytest.mark.parametrize(
+    "wrong",
+    [Box.around(118, 118, 20, 20), Box.around(118, 118, 64, 64), box(100, 100).scaled(0.6), Box(100, 100, 20, 20)],
+)
+def test_a_size_that_is_wrong_for_a_frame_does_not_lose_the_target(wrong):
+    boxes = [*[box(100, 100)] * 19, wrong, *[box(100, 100)] * 30]
+    judged = JudgedBoxes(AlwaysSure(boxes))
+    judged.init(image(100, 100), box(100, 100))
+    tracks = [judged.update(image(100, 100)) for _ in boxes]
+    assert all(track.found and track.box.iou(box(100, 100)) > 0.9 for track in tracks[25:])
+
+
 def test_what_follow_flies_of_opencvs_trackers_is_judged_and_ours_is_not():
     assert isinstance(TrackerSpec.parse("mil").flown().build(), JudgedBoxes)
     assert not isinstance(TrackerSpec.parse("mil").build(), JudgedBoxes)
