@@ -4,8 +4,8 @@ Ours finds the target by itself, with its confidence, gate and re-detection, and
 the target's size.  So they err apart: of the frames in which NanoTrack and `racf,robust` were on one place, the target
 was elsewhere in 0.7 %; NanoTrack alone is elsewhere in 14 % (twenty sequences, docs/confidence.md).  Where they agree
 the answer is the other tracker's box; while they do not, nothing is found.  What lasts is settled in favour of ours,
-which has a confidence: the other tracker starts again on our box.  A tracker that fails, answers
-without a box, or says itself that it has found nothing, has found nothing in that image, and ours follows alone.
+which has a confidence: the other tracker starts again on our box.  Where a tracker fails, answers without a box, or
+says itself that it has not found the target, ours follows alone.
 """
 
 import logging

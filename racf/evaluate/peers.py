@@ -41,9 +41,7 @@ class Peer:
     """
 
     def __init__(self, name: str, *, refine: bool = False, files: Mapping[str, str] | None = None) -> None:
-        require_opencv(name)
-        make = _opencv_maker(name)
-        assert make is not None
+        make = require_opencv(name)
         try:
             tracker = make(_opencv_parameters(name, files)) if files else make()
         except cv2.error as error:
@@ -89,14 +87,16 @@ def opencv_has(name: str) -> bool:
     return _opencv_maker(name) is not None
 
 
-def require_opencv(name: str) -> None:
-    """Raise ValueError if the installed OpenCV does not bring this tracker."""
-    if not opencv_has(name):
+def require_opencv(name: str) -> Callable[..., Any]:
+    """What builds this tracker; raises ValueError if the installed OpenCV does not bring it."""
+    make = _opencv_maker(name)
+    if make is None:
         raise ValueError(
             f"OpenCV {cv2.__version__} here has no {name} tracker: in a clone `make bench-env` builds one that has, "
             "and .venv-bench/bin/racf uses it; elsewhere opencv-contrib-python-headless in the place of "
             "opencv-python-headless"
         )
+    return make
 
 
 def peer_settings(name: str, settings: Mapping[str, str]) -> tuple[bool, dict[str, str]]:

@@ -89,7 +89,7 @@ def track(**changed: object) -> Track:
         "apce": 9.0,
         "confidence": 1.0,
     }
-    return Track(**(usual | changed))  # type: ignore[arg-type]
+    return Track(**(usual | changed))  # type: ignore[arg-type] - wrong types are what is tested
 
 
 @pytest.mark.parametrize(

@@ -122,14 +122,18 @@ def test_stored_boxes_are_not_taken_for_those_of_other_starts_trackers_or_frames
         assert found == [False]
 
 
-@pytest.mark.parametrize("left", [None, "", "1,2,3,4\n", "half"])
-def test_boxes_that_were_lost_or_cut_off_are_run_again(sequences, tmp_path, left):
+@pytest.mark.parametrize(
+    ("kind", "left"),
+    [("txt", left) for left in (None, "", "1,2,3,4\n", "half")]
+    + [("json", left) for left in (None, "", '{"key": "', "[]", "{}")],
+)
+def test_boxes_or_a_note_that_were_lost_or_cut_off_are_run_again(sequences, tmp_path, kind, left):
     todo = all_tasks(sequences[:1], jitter=0)
     run_all(todo, folder=tmp_path)
-    (boxes,) = (tmp_path / "runs").rglob("*.txt")
-    boxes.unlink()
+    (place,) = (tmp_path / "runs").rglob(f"*.{kind}")
+    place.unlink()
     if left is not None:
-        boxes.write_text(left)
+        place.write_text(left)
     found = []
     run_all(todo, folder=tmp_path, done=lambda task, run, stored: found.append(stored))
     assert found == [False]
@@ -149,19 +153,6 @@ def test_sequences_of_one_name_in_folders_of_one_name_keep_their_own_boxes(tmp_p
     found = []
     run_all(all_tasks(sequences, jitter=1), folder=tmp_path / "out", done=lambda task, run, there: found.append(there))
     assert found == [True] * 4
-
-
-@pytest.mark.parametrize("left", [None, "", '{"key": "', "[]", "{}"])
-def test_a_broken_note_of_a_half_written_result_is_not_believed(sequences, tmp_path, left):
-    todo = all_tasks(sequences[:1], jitter=0)
-    run_all(todo, folder=tmp_path)
-    (note,) = (tmp_path / "runs").rglob("*.json")
-    note.unlink()
-    if left is not None:
-        note.write_text(left)
-    found = []
-    run_all(todo, folder=tmp_path, done=lambda task, run, stored: found.append(stored))
-    assert found == [False]
 
 
 def test_jittered_starts_are_drawn_by_sequence_and_start_and_stay_near_the_target():
