@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from racf import kernels
 from racf.box import Box
 from racf.confidence import Confidence, Verdict, ramp
+from racf.growth import Growth
 from racf.motion import Velocity
 from racf.params import Params, preset
 from racf.redetect import Redetection
@@ -59,8 +60,10 @@ class Racf:
         self._confidence = Confidence(params, featureless=is_featureless(image, box))
         self._velocity = Velocity(params.velocity_rate, params.velocity_decay)
         self._redetection = Redetection(params)
+        self._growth = Growth()
         self._filter.learn(image, box)
         self._learn_scale(image)
+        self._see(image)
         most = self._confidence.most
         return Track(box, self._filter.region(box), psr=0.0, apce=0.0, confidence=most, found=most == 1.0)
 
@@ -72,8 +75,9 @@ class Racf:
         image = checked_next(image, self._frame_shape, prior)
         params, clock, before = self.params, _Stopwatch(), self._box
         expected = self._expected(prior)
+        grown = self._grown(image, expected)
         clock.lap("predict")
-        match = self._filter.locate(image, expected)
+        match = self._filter.locate(image, grown)
         clock.lap("localise")
         near = not params.redetect or self._redetection.near(match.box, expected)
         verdict = self._confidence.judge(match.psr, match.value, near)
@@ -82,12 +86,13 @@ class Racf:
             clock.lap("redetect")
             if verdict is not Verdict.LOST:
                 self._velocity.forget()  # the target jumped here; that is not a velocity
-                before = expected = match.box
+                before = expected = grown = match.box
         if params.coast and verdict is Verdict.LOST:
             self._box = self._kept_inside(expected)
             self._velocity.unseen()
+            self._growth.forget()
             return self._track(expected, match, None, verdict, clock)
-        self._box = self._kept_inside(self._weighed(expected, match, verdict))
+        self._box = self._kept_inside(self._weighed(grown, match, verdict))
         trusted = verdict is Verdict.CLEAR or not params.gate_learning
         if trusted:
             self._estimate_scale(image)
@@ -100,7 +105,9 @@ class Racf:
             self._learn_scale(image)
             clock.lap("learn scale")
         self._velocity.seen(before, self._box)
-        return self._track(expected, match, refinement, verdict, clock)
+        self._see(image)
+        clock.lap("remember")
+        return self._track(grown, match, refinement, verdict, clock)
 
     def _track(
         self, looked_at: Box, match: Match, refinement: Refinement | None, verdict: Verdict, clock: "_Stopwatch"
@@ -129,6 +136,17 @@ class Racf:
         if not self.params.predict_motion:
             return self._box
         return self._box.moved(self._velocity.dx, self._velocity.dy)
+
+    def _grown(self, image: UInt8, expected: Box) -> Box:
+        """The expected box with the size that the flow of the target's pixels predicts."""
+        if not self.params.predict_scale:
+            return expected
+        dx, dy = expected.centre_x - self._box.centre_x, expected.centre_y - self._box.centre_y
+        return expected.scaled(self._growth.factor(image, dx, dy))
+
+    def _see(self, image: UInt8) -> None:
+        if self.params.predict_scale:
+            self._growth.remember(image, self._box)
 
     def _weighed(self, expected: Box, match: Match, verdict: Verdict) -> Box:
         """The measured box; in a doubtful frame moved towards the predicted one, the more the less it is believed."""

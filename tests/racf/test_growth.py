@@ -1,0 +1,128 @@
+"""The size by optical flow: what it must tell of rendered targets whose size is known, and when it must say nothing."""
+
+import dataclasses
+
+import cv2
+import numpy as np
+import pytest
+
+from racf import Box, Racf, preset
+from racf.growth import LEAST_SIDE_PX, MOST, Growth
+
+ROWS, COLS = 300, 420
+TEXTURE_PX = 240
+
+
+def texture(seed: int) -> np.ndarray:
+    coarse = np.random.default_rng(seed).integers(0, 256, (9, 9, 3), dtype=np.uint8)
+    return cv2.resize(coarse, (TEXTURE_PX, TEXTURE_PX), interpolation=cv2.INTER_CUBIC)
+
+
+GROUND = cv2.GaussianBlur(np.random.default_rng(7).integers(0, 256, (ROWS, COLS, 3), dtype=np.uint8), (0, 0), 3)
+
+
+def image(x: float, y: float, side: float, *, turned_deg: float = 0.0, seed: int = 8) -> np.ndarray:
+    """A textured square of `side` pixels with its middle at (x, y), in front of the ground."""
+    similarity = cv2.getRotationMatrix2D((TEXTURE_PX / 2 - 0.5,) * 2, turned_deg, side / TEXTURE_PX)
+    similarity[:, 2] += (x - TEXTURE_PX / 2, y - TEXTURE_PX / 2)
+    size = (COLS, ROWS)
+    over = cv2.warpAffine(texture(seed), similarity, size, flags=cv2.INTER_AREA)
+    share = cv2.warpAffine(np.ones((TEXTURE_PX, TEXTURE_PX, 1), np.float32), similarity, size)[..., None]
+    return (share * over + (1 - share) * GROUND).astype(np.uint8)
+
+
+def told(first: np.ndarray, box: Box, second: np.ndarray, dx: float = 0.0, dy: float = 0.0) -> float:
+    growth = Growth()
+    growth.remember(first, box)
+    return growth.factor(second, dx, dy)
+
+
+@pytest.mark.parametrize("side", [24, 40, 90, 200])
+@pytest.mark.parametrize("factor", [0.95, 0.99, 1.0, 1.02, 1.06])
+@pytest.mark.parametrize("colour", [True, False])
+def test_a_target_that_grows_and_moves_is_told_within_a_percent(side, factor, colour):
+    first, second = image(160, 140, side), image(165, 137, side * factor)
+    if not colour:
+        first, second = (cv2.cvtColor(of, cv2.COLOR_BGR2GRAY) for of in (first, second))
+    assert told(first, Box.around(160, 140, side, side), second, 4, -2) == pytest.approx(factor, rel=0.012)
+
+
+def test_a_target_that_turns_keeps_its_size():
+    assert told(image(160, 140, 60), Box.around(160, 140, 60, 60), image(160, 140, 60, turned_deg=4)) == pytest.approx(
+        1.0, abs=0.01
+    )
+
+
+def test_a_box_that_is_a_little_off_and_long_is_told_also():
+    box = Box.around(164, 136, 40, 66)
+    assert told(image(160, 140, 60), box, image(161, 140, 62.4)) == pytest.approx(1.04, abs=0.012)
+
+
+def test_points_that_go_their_own_ways_tell_nothing():
+    first, second = image(160, 140, 60), image(160, 140, 60, seed=9)  # another target in the same place
+    assert told(first, Box.around(160, 140, 60, 60), second) == 1.0
+
+
+def test_nothing_is_told_of_a_small_target_or_of_one_that_was_not_seen():
+    side = LEAST_SIDE_PX - 1
+    assert told(image(160, 140, side), Box.around(160, 140, side, side), image(160, 140, side * 1.05)) == 1.0
+    growth = Growth()
+    assert growth.factor(GROUND, 0, 0) == 1.0
+    growth.remember(image(160, 140, 60), Box.around(160, 140, 60, 60))
+    growth.forget()
+    assert growth.factor(image(160, 140, 63), 0, 0) == 1.0
+
+
+def test_no_more_than_a_tenth_a_frame_is_believed():
+    many = [told(image(160, 140, 60), Box.around(160, 140, 60, 60), image(160, 140, 60 * f)) for f in (0.8, 0.85, 1.2)]
+    assert all(np.exp(-MOST) <= factor <= np.exp(MOST) for factor in many)
+
+
+@pytest.mark.parametrize(
+    "box", [Box(-30, 100, 60, 60), Box(390, 270, 60, 60), Box(-500, -500, 40, 40), Box(0, 0, COLS, ROWS),
+            Box(-1e6, 10, 1e6, 22), Box(10, -5e5, 22, 1e6)],
+)  # fmt: skip
+def test_a_box_at_or_beyond_the_edge_of_the_image_is_answered_with_a_number(box):
+    assert 0.9 <= told(GROUND, box, image(160, 140, 60), 1e5, -1e5) <= 1.11
+    assert 0.9 <= told(GROUND, box, GROUND) <= 1.11
+
+
+def test_what_lies_beyond_the_images_edge_does_not_hold_back_a_target_that_is_half_outside():
+    assert told(image(10, 140, 80), Box.around(10, 140, 80, 80), image(10, 140, 84)) == pytest.approx(1.05, abs=0.012)
+
+
+def clip(rate: float, frames: int) -> list[tuple[np.ndarray, Box]]:
+    """A target that grows by `rate` a frame and drifts by a pixel."""
+    sides = [30 * rate**k for k in range(frames)]
+    places = [(140 + 1.0 * k, 140.0) for k in range(frames)]
+    return [(image(*at, side), Box.around(*at, side, side)) for at, side in zip(places, sides, strict=True)]
+
+
+def overlap_at_end(tracker: Racf, shown: list[tuple[np.ndarray, Box]]) -> float:
+    tracker.init(*shown[0])
+    tracks = [tracker.update(of) for of, _ in shown[1:]]
+    assert tracks[-1].found
+    return tracks[-1].box.iou(shown[-1][1])
+
+
+@pytest.mark.parametrize("rate", [1.0, 1.02, 1.05, 0.98])
+def test_a_tracker_keeps_the_size_of_a_target_that_grows_fast(rate):
+    shown = clip(rate, 36)
+    with_flow = preset("racf-,robust")
+    without = dataclasses.replace(with_flow, predict_scale=False)
+    overlap = overlap_at_end(Racf(with_flow), shown)
+    assert overlap > 0.8
+    assert overlap > overlap_at_end(Racf(without), shown) - 0.05
+
+
+def test_a_lost_target_keeps_its_size():
+    """While it is not seen its box coasts, however fast the ground behind it comes nearer."""
+    shown = clip(1.0, 12)
+    tracker = Racf("racf-,robust")
+    tracker.init(*shown[0])
+    before = [tracker.update(of) for of, _ in shown[1:]][-1]
+    for k in range(8):
+        nearer = cv2.getRotationMatrix2D((150, 140), 0.0, 1.05**k)
+        track = tracker.update(cv2.warpAffine(GROUND, nearer, (COLS, ROWS)))
+        assert not track.found
+        assert track.box.w == pytest.approx(before.box.w)
