@@ -111,6 +111,17 @@ def test_what_lies_beyond_the_images_edge_does_not_hold_back_a_target_that_is_ha
     assert told(image(10, 140, 80), Box.around(10, 140, 80, 80), image(10, 140, 84)) == pytest.approx(1.05, abs=0.012)
 
 
+@pytest.mark.parametrize("slid", [2, 3, 4, -2, -3])
+def test_ground_that_slides_beside_the_target_is_no_growth(slid):
+    """Half of the box is a standing target, half is ground that moves: no size changes."""
+    wide = cv2.GaussianBlur(np.random.default_rng(1).integers(0, 256, (240, 420, 3), dtype=np.uint8), (0, 0), 3)
+    ground = cv2.normalize(wide, None, 40, 210, cv2.NORM_MINMAX)
+    target = cv2.normalize(GROUND[:80, :40], None, 40, 210, cv2.NORM_MINMAX)
+    first, second = ground[:, 50:370].copy(), ground[:, 50 - slid : 370 - slid].copy()
+    first[80:160, 160:200] = second[80:160, 160:200] = target
+    assert told(first, Box(125, 85, 70, 70), second) == pytest.approx(1.0, abs=0.025)
+
+
 def clip(rate: float, frames: int) -> list[tuple[np.ndarray, Box]]:
     """A target that grows by `rate` a frame and drifts by a pixel."""
     sides = [30 * rate**k for k in range(frames)]
@@ -146,3 +157,28 @@ def test_a_lost_target_keeps_its_size():
         track = tracker.update(cv2.warpAffine(GROUND, nearer, (COLS, ROWS)))
         assert not track.found
         assert track.box.w == pytest.approx(before.box.w)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_box_does_not_run_away_from_a_target_that_turns_while_the_ground_moves(seed):
+    """What turns under a box that has slipped a little looks as if it grew, a little in each frame."""
+    random, tracker = np.random.default_rng(seed), Racf("racf,robust")
+    wide = cv2.normalize(
+        cv2.GaussianBlur(random.integers(0, 256, (ROWS, 700, 3), dtype=np.uint8), (0, 0), 2.5),
+        None,
+        50,
+        200,
+        cv2.NORM_MINMAX,
+    )
+    disc = cv2.circle(np.zeros((ROWS, COLS), np.uint8), (160, 140), 25, 1, -1)[..., None]
+    over = cv2.resize(random.integers(0, 256, (8, 8, 3), dtype=np.uint8), (COLS, ROWS), interpolation=cv2.INTER_CUBIC)
+    over = cv2.warpAffine(
+        over, np.array([[0.25, 0, 110.0], [0, 0.25, 100.0]]), (COLS, ROWS), borderMode=cv2.BORDER_WRAP
+    )
+    tracks = []
+    for k in range(100):
+        turned = cv2.warpAffine(over, cv2.getRotationMatrix2D((160, 140), 1.5 * k, 1.0), (COLS, ROWS))
+        shown = np.where(disc == 1, turned, wide[:, k : k + COLS])
+        tracks.append(tracker.update(shown) if k else tracker.init(shown, Box.around(160, 140, 50, 50)))
+    assert all(track.found for track in tracks)
+    assert 0.75 < np.sqrt(tracks[-1].box.area) / 50 < 1.3
