@@ -17,7 +17,7 @@ _FRACTIONS = (
     "learning_rate", "scale_learning_rate", "refine_min_iou", "refine_blend", "strict_iou",
     "confidence_rate", "confidence_rate_doubtful", "velocity_rate", "velocity_decay",
 )  # fmt: skip
-ROBUST = ("gate_learning", "strict_refine", "predict_motion", "predict_scale", "coast", "redetect")
+ROBUST = ("gate_learning", "strict_refine", "predict_motion", "coast", "redetect")
 """The switches that the word `robust` stands for."""
 _WEIGHTS = ("residue", "spatial", "bowl", "temporal", "ridge", "aberrance", "redetect_near")
 
@@ -88,11 +88,13 @@ class Params:
     refine_pause: int = 31  # most frames skipped after rejected segments [measured]
     refine_min_target_px: float = 20.0  # smaller targets are too few pixels to segment [measured]
 
-    # What a follower needs and the paper lacks: six switches (`robust` means all six) and their numbers
+    # Not a part of `robust`: it keeps a walker's size better, and the box may stay on a tree that hid him [measured]
+    predict_scale: bool = False  # search with the size that the optical flow of the target's pixels predicts
+
+    # What a follower needs and the paper lacks: five switches (`robust` means all five) and their numbers
     gate_learning: bool = False  # learn, estimate scale and refine only in frames whose response is clear
     strict_refine: bool = False  # a segment must overlap the tracker's box by more than strict_iou
     predict_motion: bool = False  # search where the target's smoothed motion predicts it
-    predict_scale: bool = False  # search with the size that the optical flow of the target's pixels predicts [measured]
     coast: bool = False  # a lost target's box follows the prediction, not the response
     redetect: bool = False  # search for a lost target further afield
     learn_above: float = 0.6  # gate_learning: least confidence (PSR and peak over their running means) of a clear frame
@@ -166,7 +168,7 @@ class Params:
                 raise ValueError(f"{name} is at least {least}{_FROM.get(name, '')}, not {getattr(self, name)}")
 
     def robust(self, on: bool = True) -> Self:
-        """A copy with the six switches of `ROBUST`, which a follower needs, all on (or all off)."""
+        """A copy with the five switches of `ROBUST`, which a follower needs, all on (or all off)."""
         return replace(self, **dict.fromkeys(ROBUST, on))
 
     @classmethod

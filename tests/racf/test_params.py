@@ -1,4 +1,4 @@
-"""Settings of the tracker: each one changes something, and `robust` is a word for its switches."""
+"""Settings of the tracker: each one changes something, and `robust` is a word for its five switches."""
 
 import dataclasses
 import hashlib
@@ -63,7 +63,7 @@ OTHER: dict[str, tuple[Any, dict[str, Any]]] = {
     "refine_renew": (1, {}), "refine_pause": (0, {}), "refine_min_target_px": (60.0, {}),
     "gate_learning": (False, {"learn_above": 0.9, "usual_psr_max": 99.0}),
     "strict_refine": (False, {"strict_iou": 0.95}),
-    "predict_motion": (False, {}), "predict_scale": (False, {}), "coast": (False, {}), "redetect": (False, {}),
+    "predict_motion": (False, {}), "predict_scale": (True, {}), "coast": (False, {}), "redetect": (False, {}),
     "learn_above": (0.95, {"usual_psr_max": 99.0}),
     "learn_share_from": (0.9, {"usual_psr_max": 99.0}),
     "lost_below": (0.3, {}), "regain_above": (0.95, {}), "confidence_rate": (0.3, {}),
