@@ -32,9 +32,9 @@ EDGE = 8  # points along each edge of that ring
 WINDOW, SMALL_WINDOW = (13, 13), (9, 9)  # the small one in patches below SMALL_PX
 SMALL_PX = 60
 BACK_PX = 1.0  # furthest from where a point was, by the flow there and back
-AGREE = (
-    0.0075  # of the target's side: how near a point must be to where the similarity puts it; twice that passes a shear
-)
+# Of the target's side: how near a point must be to where the similarity puts it.  Twice as much lets ground that slides
+# beside the target pass for growth.
+AGREE = 0.0075
 LEAST_AGREEING = 0.5  # share of the points inside, of those whose flow leads back best, that must agree
 MOST_ALIKE = 0.5  # share of those around that may agree also
 LEAST_POINTS = 8  # of either kind, or they say nothing

@@ -63,7 +63,8 @@ class Racf:
         self._growth = Growth()
         self._filter.learn(image, box)
         self._learn_scale(image)
-        self._see(image)
+        if params.predict_scale:
+            self._growth.remember(image, box)
         most = self._confidence.most
         return Track(box, self._filter.region(box), psr=0.0, apce=0.0, confidence=most, found=most == 1.0)
 
@@ -105,8 +106,9 @@ class Racf:
             self._learn_scale(image)
             clock.lap("learn scale")
         self._velocity.seen(before, self._box)
-        self._see(image)
-        clock.lap("remember")
+        if params.predict_scale:
+            self._growth.remember(image, self._box)
+            clock.lap("remember")
         return self._track(grown, match, refinement, verdict, clock)
 
     def _track(
@@ -143,10 +145,6 @@ class Racf:
             return expected
         dx, dy = expected.centre_x - self._box.centre_x, expected.centre_y - self._box.centre_y
         return expected.scaled(self._growth.factor(image, dx, dy))
-
-    def _see(self, image: UInt8) -> None:
-        if self.params.predict_scale:
-            self._growth.remember(image, self._box)
 
     def _weighed(self, expected: Box, match: Match, verdict: Verdict) -> Box:
         """The measured box; in a doubtful frame moved towards the predicted one, the more the less it is believed."""

@@ -63,8 +63,6 @@ def test_a_box_full_of_ground_is_not_told_to_grow():
     """A camera that comes nearer makes everything grow, but the box is not the target's any more."""
     nearer = cv2.warpAffine(GROUND, cv2.getRotationMatrix2D((160, 140), 0.0, 1.04), (COLS, ROWS))
     assert told(GROUND, Box.around(160, 140, 60, 60), nearer) == 1.0
-    small = image(160, 140, 24)
-    assert told(small, Box.around(160, 140, 90, 90), cv2.addWeighted(nearer, 1, nearer, 0, 0)) == 1.0
 
 
 def test_a_target_that_turns_keeps_its_size():
@@ -157,28 +155,3 @@ def test_a_lost_target_keeps_its_size():
         track = tracker.update(cv2.warpAffine(GROUND, nearer, (COLS, ROWS)))
         assert not track.found
         assert track.box.w == pytest.approx(before.box.w)
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_the_box_does_not_run_away_from_a_target_that_turns_while_the_ground_moves(seed):
-    """What turns under a box that has slipped a little looks as if it grew, a little in each frame."""
-    random, tracker = np.random.default_rng(seed), Racf("racf,robust,predict_scale")
-    wide = cv2.normalize(
-        cv2.GaussianBlur(random.integers(0, 256, (ROWS, 700, 3), dtype=np.uint8), (0, 0), 2.5),
-        None,
-        50,
-        200,
-        cv2.NORM_MINMAX,
-    )
-    disc = cv2.circle(np.zeros((ROWS, COLS), np.uint8), (160, 140), 25, 1, -1)[..., None]
-    over = cv2.resize(random.integers(0, 256, (8, 8, 3), dtype=np.uint8), (COLS, ROWS), interpolation=cv2.INTER_CUBIC)
-    over = cv2.warpAffine(
-        over, np.array([[0.25, 0, 110.0], [0, 0.25, 100.0]]), (COLS, ROWS), borderMode=cv2.BORDER_WRAP
-    )
-    tracks = []
-    for k in range(100):
-        turned = cv2.warpAffine(over, cv2.getRotationMatrix2D((160, 140), 1.5 * k, 1.0), (COLS, ROWS))
-        shown = np.where(disc == 1, turned, wide[:, k : k + COLS])
-        tracks.append(tracker.update(shown) if k else tracker.init(shown, Box.around(160, 140, 50, 50)))
-    assert all(track.found for track in tracks)
-    assert 0.75 < np.sqrt(tracks[-1].box.area) / 50 < 1.3
