@@ -4,10 +4,12 @@ The scale filter knows the target as it was over some forty frames and answers i
 leaves it behind.  The flow [Lucas and Kanade 1981] of a grid of points has no memory: it knows the change between two
 images alone, and its errors add up.  So it predicts the size, and the scale filter corrects it.
 
-Points whose flow does not lead back to where they were [Kalal 2010] are dropped; what the others tell is the similarity
-in which most of them agree (RANSAC).  Where few agree (a walker's limbs) nothing is predicted, nor where what surrounds
+Points whose flow does not lead back to where they were [Kalal 2010] are dropped; of the others those count that agree
+best on one similarity (RANSAC).  Where few agree (a walker's limbs) nothing is predicted, nor where what surrounds
 the box moves in the same way: then it may be the ground that was measured, or a tree, and a box that grows with it
-holds ever less of the target.  Numbers are measured: docs/notebook.md, "The size by optical flow".
+holds ever less of the target.  What comes nearer grows in width and height alike; ground that slides beside the target,
+or a car that turns, seems to grow in one of them, so that the lesser is believed.  Numbers are measured:
+docs/notebook.md, "The size by optical flow".
 """
 
 import math
@@ -32,9 +34,7 @@ EDGE = 8  # points along each edge of that ring
 WINDOW, SMALL_WINDOW = (13, 13), (9, 9)  # the small one in patches below SMALL_PX
 SMALL_PX = 60
 BACK_PX = 1.0  # furthest from where a point was, by the flow there and back
-# Of the target's side: how near a point must be to where the similarity puts it.  Twice as much lets ground that slides
-# beside the target pass for growth.
-AGREE = 0.0075
+AGREE = 0.0075  # of the target's side: how near a point must be to where the similarity puts it
 LEAST_AGREEING = 0.5  # share of the points inside, of those whose flow leads back best, that must agree
 MOST_ALIKE = 0.5  # share of those around that may agree also
 LEAST_POINTS = 8  # of either kind, or they say nothing
@@ -48,11 +48,9 @@ def _places(across: Float64) -> Float64:
     return np.stack(np.meshgrid(across, across), axis=-1).reshape(-1, 2)
 
 
-# In sides of the box, from its centre; those within it first.
+# In sides of the box, from its centre.
 _INSIDE = _places((np.arange(INSIDE) + 0.5) / INSIDE - 0.5)
-_AROUND = [at for at in _places(np.linspace(-AROUND, AROUND, EDGE)) if np.abs(at).max() > AROUND - 1e-6]
-_POINTS = np.concatenate([_INSIDE, _AROUND])
-_OF_TARGET = np.arange(len(_POINTS)) < len(_INSIDE)
+_AROUND = np.array([at for at in _places(np.linspace(-AROUND, AROUND, EDGE)) if np.abs(at).max() > AROUND - 1e-6])
 
 
 class Growth:
@@ -76,20 +74,23 @@ class Growth:
         """The size in `image` over the remembered one, about `dx`, `dy` px away from there; 1 if it cannot be told."""
         if self._box is None:
             return 1.0
-        before, after, apart, of_target = self._flow(self._box, image, np.array([dx, dy]))
-        if of_target.sum() < LEAST_POINTS:
+        patch, moved = self._seen(image, self._box.moved(dx, dy)), np.array([dx, dy])
+        before, after, apart = self._flow(_INSIDE, patch, moved, image.shape)
+        if len(before) < LEAST_POINTS:
             return 1.0
-        within = AGREE * math.sqrt(self._box.area) * self._zoom
-        best = of_target & (apart <= np.median(apart[of_target]))
-        similarity, agree = cv2.estimateAffinePartial2D(before[best], after[best], ransacReprojThreshold=within)
+        best, within = apart <= np.median(apart), AGREE * math.sqrt(self._box.area) * self._zoom
+        before, after = before[best], after[best]
+        similarity, agree = cv2.estimateAffinePartial2D(before, after, ransacReprojThreshold=within)
         if np.mean(agree) < LEAST_AGREEING:  # none agrees where there is no similarity
             return 1.0
-        around = ~of_target
-        off = np.linalg.norm(before[around] @ similarity[:, :2].T + similarity[:, 2] - after[around], axis=1)
+        growth = _log_growth(before[agree[:, 0] == 1], after[agree[:, 0] == 1])
+        if growth == 0.0:
+            return 1.0
+        before, after, _ = self._flow(_AROUND, patch, moved, image.shape)
+        off = np.linalg.norm(before @ similarity[:, :2].T + similarity[:, 2] - after, axis=1)
         if len(off) >= LEAST_POINTS and np.mean(off <= within) >= MOST_ALIKE:
             return 1.0
-        growth = math.hypot(similarity[0, 0], similarity[1, 0])
-        return min(max(growth, math.exp(-MOST)), math.exp(MOST))
+        return math.exp(min(max(growth, -MOST), MOST))
 
     def _seen(self, image: UInt8, box: Box) -> UInt8:
         """The box and what surrounds it, in grey, shrunk."""
@@ -100,23 +101,41 @@ class Growth:
             return planes[0]
         return np.asarray(cv2.cvtColor(cv2.merge(list(planes)), cv2.COLOR_BGR2GRAY), np.uint8)
 
-    def _flow(self, box: Box, image: UInt8, moved: Float64) -> tuple[Float32, Float32, Float32, NDArray[np.bool_]]:
-        """Points (n, 2) whose flow leads back, before and after; how far off it ends; which are the target's (n,)."""
-        from_centre, size = _POINTS * (box.w, box.h), image.shape[1::-1]
+    def _flow(
+        self, places: Float64, patch: UInt8, moved: Float64, shape: tuple[int, ...]
+    ) -> tuple[Float32, Float32, Float32]:
+        """Of `places` (in sides of the box) those whose flow leads back, before and after (n, 2), and how far off."""
+        assert self._box is not None
+        box, size = self._box, shape[1::-1]
+        from_centre = places * (box.w, box.h)
         first = from_centre + np.array([box.centre_x, box.centre_y])
         second = first + moved
         # What lies beyond the edge are repeated pixels, which do not grow.
         inside = np.all((first >= 0) & (first <= size) & (second >= 0) & (second <= size), axis=1)
-        middle = np.array(self._patch.shape[::-1]) / 2 - 0.5
-        points = (from_centre[inside] * self._zoom + middle).astype(np.float32)
+        points = (from_centre[inside] * self._zoom + np.array(patch.shape[::-1]) / 2 - 0.5).astype(np.float32)
         if len(points) == 0:
-            return points, points, points[:, 0], inside[inside]
-        patch = self._seen(image, box.moved(*moved.tolist()))
+            return points, points, points[:, 0]
         there, seen = _followed(self._patch, patch, points)
         back, seen_back = _followed(patch, self._patch, there)
         apart = np.linalg.norm(back - points, axis=1)
         good = seen & seen_back & (apart < BACK_PX)
-        return points[good], there[good], apart[good], _OF_TARGET[inside][good]
+        return points[good], there[good], apart[good]
+
+
+def _log_growth(before: Float32, after: Float32) -> float:
+    """Logarithm of the factor by which points (n, 2) moved apart, across or down: the lesser, 0 if only one did."""
+    if len(before) <= 3:  # any three points fit some affine map
+        return 0.0
+    first, second = before.astype(np.float64), after.astype(np.float64)
+    first -= first.mean(axis=0)
+    (xx, xy), (_, yy) = (first.T @ first).tolist()
+    (xu, xv), (yu, yv) = (first.T @ second).tolist()
+    spread = xx * yy - xy * xy
+    wider, higher = yy * xu - xy * yu, xx * yv - xy * xv  # times `spread`: least squares, by Cramer's rule
+    if spread <= 1e-9 * xx * yy or min(wider, higher) <= 0:
+        return 0.0
+    across, down = math.log(wider / spread), math.log(higher / spread)
+    return math.copysign(min(abs(across), abs(down)), across) if across * down > 0 else 0.0
 
 
 def _followed(before: UInt8, after: UInt8, points: Float32) -> tuple[Float32, NDArray[np.bool_]]:

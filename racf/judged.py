@@ -43,11 +43,12 @@ class JudgedBoxes(Racf):
     """The boxes of `tracker` where ours sees the target too, with our PSR, confidence and verdict.
 
     After `params.redetect_agree` frames apart, and when ours has found a lost target again, `tracker` starts again.
-    Ours is `racf-,robust` unless `params` says otherwise.  A size that `tracker` slowly gets wrong is not noticed.
+    Ours is `racf-,robust`, which takes the tracker's size instead of predicting it, unless `params` says otherwise.  A
+    size that `tracker` slowly gets wrong is not noticed.
     """
 
     def __init__(self, tracker: JudgedTracker, params: Params | None = None) -> None:
-        super().__init__(params or Params().robust())
+        super().__init__(params or replace(Params().robust(), predict_scale=False))
         self.tracker = tracker
 
     def init(self, image: UInt8, box: Box) -> Track:

@@ -1,5 +1,6 @@
 """The tracker: init on a box, then per frame localise, estimate scale, refine, learn."""
 
+import math
 import time
 
 import numpy as np
@@ -53,7 +54,8 @@ class Racf:
         """
         image, params = checked_start(image, box), self.params
         self._frame_shape = image.shape
-        self._box = box
+        self._box, inside = box, self._kept_inside(box)
+        self._aspect = inside.w / inside.h
         self._filter = TranslationFilter(params, box, colour=image.ndim == 3 and params.colour_names)
         self._scale = ScaleFilter(params, box.w, box.h)
         self._refiner = Refiner(params)
@@ -92,7 +94,7 @@ class Racf:
             self._box = self._kept_inside(expected)
             self._velocity.unseen()
             self._growth.forget()
-            return self._track(expected, match, None, verdict, clock)
+            return self._track(grown, match, None, verdict, clock)
         self._box = self._kept_inside(self._weighed(grown, match, verdict))
         trusted = verdict is Verdict.CLEAR or not params.gate_learning
         if trusted:
@@ -182,8 +184,16 @@ class Racf:
             return None
         refinement = self._refiner.refine(image, self._box)
         if refinement is not None and refinement.box is not None:
-            self._box = self._kept_inside(refinement.box)
+            self._box = self._kept_inside(self._shaped(refinement.box))
         return refinement
+
+    def _shaped(self, box: Box) -> Box:
+        """With `strict_refine`: the box with an aspect near the first one's, of the same area."""
+        if not self.params.strict_refine:
+            return box
+        most = self.params.strict_aspect
+        aspect = min(max(box.w / box.h, self._aspect / most), self._aspect * most)
+        return Box.around(box.centre_x, box.centre_y, math.sqrt(box.area * aspect), math.sqrt(box.area / aspect))
 
 
 class _Stopwatch:

@@ -1,4 +1,4 @@
-"""Settings of the tracker: each one changes something, and `robust` is a word for its five switches."""
+"""Settings of the tracker: each one changes something, and `robust` is a word for its switches."""
 
 import dataclasses
 import hashlib
@@ -63,13 +63,14 @@ OTHER: dict[str, tuple[Any, dict[str, Any]]] = {
     "refine_renew": (1, {}), "refine_pause": (0, {}), "refine_min_target_px": (60.0, {}),
     "gate_learning": (False, {"learn_above": 0.9, "usual_psr_max": 99.0}),
     "strict_refine": (False, {"strict_iou": 0.95}),
-    "predict_motion": (False, {}), "predict_scale": (True, {}), "coast": (False, {}), "redetect": (False, {}),
+    "predict_motion": (False, {}), "predict_scale": (False, {}), "coast": (False, {}), "redetect": (False, {}),
     "learn_above": (0.95, {"usual_psr_max": 99.0}),
     "learn_share_from": (0.9, {"usual_psr_max": 99.0}),
     "lost_below": (0.3, {}), "regain_above": (0.95, {}), "confidence_rate": (0.3, {}),
     "confidence_rate_doubtful": (0.2, {}),
     "usual_psr_max": (60.0, {}), "usual_psr_min": (50.0, {"usual_psr_max": 60.0}), "least_psr": (30.0, {}),
     "settle_frames": (0, {"learn_above": 0.99, "usual_psr_max": 99.0}), "strict_iou": (0.95, {}),
+    "strict_aspect": (1.0, {}),
     "velocity_rate": (0.1, {}), "velocity_decay": (0.5, {}), "redetect_glance": (0.9, {}),
     "redetect_near": (9.0, {"redetect_patience": 1}), "redetect_agree": (1, {"redetect_patience": 1}),
     "redetect_places": (0, {"redetect_patience": 1}),

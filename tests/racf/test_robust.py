@@ -9,6 +9,7 @@ import pytest
 
 from racf import Box, Racf, preset
 from racf.confidence import Confidence, Verdict, ramp
+from racf.refine import Refinement
 
 ROWS, COLS, SIDE = 240, 400, 36
 GROUND = cv2.GaussianBlur(np.random.default_rng(7).integers(0, 256, (ROWS, COLS, 3), dtype=np.uint8), (0, 0), 4)
@@ -57,6 +58,36 @@ def test_an_occluded_target_is_not_found_and_is_found_again_behind_the_wall():
     k, last = tracks[-1]
     assert last.found
     assert last.box.iou(box(40 + 3 * k, 100)) > 0.7
+
+
+class Segments:
+    """A segmentation that always sees a little more or less than the target, as GrabCut does where a shadow lies."""
+
+    def __init__(self, wider: float) -> None:
+        self.wider = wider
+
+    def refine(self, _: np.ndarray, box: Box) -> Refinement:
+        nothing = np.zeros((2, 2), np.uint8)
+        return Refinement(Box.around(box.centre_x, box.centre_y, self.wider * box.w, box.h), None, nothing, box)
+
+
+def widened(tracker: Racf, first: float, wider: float) -> float:
+    """The aspect after twelve images over the first box's, `first`."""
+    tracker.init(image(40, 100), Box.around(58, 118, first * SIDE, SIDE))
+    tracker._refiner = Segments(wider)
+    for _ in range(12):
+        track = tracker.update(image(40, 100))
+    return track.box.w / track.box.h / first
+
+
+@pytest.mark.parametrize("first", [1.0, 0.6])
+def test_a_robust_trackers_box_does_not_become_wider_and_wider_or_narrower(first):
+    tracker = Racf(dataclasses.replace(ROBUST, strict_aspect=1.25, predict_scale=False))
+    assert widened(tracker, first, 1.1) == pytest.approx(1.25)
+    assert widened(tracker, 0.8 * first, 1.1) == pytest.approx(1.25)  # of a new target, its own first box counts
+    assert widened(tracker, first, 0.9) == pytest.approx(1 / 1.25)
+    assert widened(Racf(dataclasses.replace(ROBUST, strict_aspect=1.0, predict_scale=False)), first, 1.1) == 1.0
+    assert widened(Racf(dataclasses.replace(ROBUST, strict_refine=False, predict_scale=False)), first, 1.1) > 1.6
 
 
 def test_a_first_response_sharper_than_all_that_follow_does_not_make_the_rest_look_lost():
