@@ -123,7 +123,7 @@ class Growth:
 
 
 def _log_growth(before: Float32, after: Float32) -> float:
-    """Logarithm of the factor by which points (n, 2) moved apart, across or down: the lesser, 0 if only one did."""
+    """Logarithm of the factor by which points (n, 2) moved apart across or down: the smaller; 0 if signs differ."""
     if len(before) <= 3:  # any three points fit some affine map
         return 0.0
     first, second = before.astype(np.float64), after.astype(np.float64)

@@ -90,7 +90,7 @@ class Params:
 
     # What a follower needs and the paper lacks: six switches (`robust` means all six) and their numbers
     gate_learning: bool = False  # learn, estimate scale and refine only in frames whose response is clear
-    strict_refine: bool = False  # a segment must overlap the tracker's box by more than strict_iou
+    strict_refine: bool = False  # a segment must overlap the box by more than strict_iou, within strict_aspect
     predict_motion: bool = False  # search where the target's smoothed motion predicts it
     predict_scale: bool = False  # search with the size that the optical flow of the target's pixels predicts [measured]
     coast: bool = False  # a lost target's box follows the prediction, not the response
