@@ -2,6 +2,7 @@
 
 import os
 import re
+import socket
 import subprocess
 import sys
 import time
@@ -10,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.machine import LateError, against_the_clock, awake, parsed, processor_ticks, stolen
+from tests.support.real_flight import free_ports, is_free, program, until
 
 LINE = "cpu  100 0 50 800 10 0 5 {steal} 7 0\ncpu0 1 2 3 4 5 6 7 8 0 0\n"
 
@@ -52,6 +54,26 @@ def test_what_is_asserted_against_the_clock_is_late(failure):
 def test_any_other_failure_stays_what_it_is():
     with pytest.raises(ValueError, match="a bug"), against_the_clock():
         raise ValueError("a bug")
+
+
+@pytest.mark.parametrize(("last", "state"), [("", "ended with 0"), ("; time.sleep(60)", "runs")])
+def test_what_is_late_tells_what_the_program_said(last, state):
+    def waits() -> None:
+        with program([sys.executable, "-c", f"import sys, time; sys.stderr.write('no such port\\n'){last}"]) as running:
+            running.wait_until_said("no such port")
+            until("ended", lambda: last or running.process.poll() is not None)
+            until("up", lambda: False, 0.1)
+
+    with pytest.raises(LateError, match=rf"not up within 0.1 s; -c .* {state} and said \['no such port'\]"):
+        waits()
+
+
+def test_a_free_port_can_be_had_and_a_taken_one_is_not_free():
+    (port,) = free_ports(1)
+    for kind in (socket.SOCK_DGRAM, socket.SOCK_STREAM):
+        with socket.socket(socket.AF_INET, kind) as taken:
+            taken.bind(("127.0.0.1", port))
+            assert not is_free(port)
 
 
 SUITE = """

@@ -1,14 +1,12 @@
 """Clients that are not ours fly the simulated autopilot over UDP: MAVSDK 4.1, and pymavlink's own connection."""
 
-import contextlib
 import math
 import os
 import re
-import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 
 import pytest
 from mavsdk import ComponentType, Configuration, Mavsdk
@@ -18,7 +16,7 @@ from mavsdk.plugins.telemetry import Telemetry
 from pymavlink.dialects.v20 import common as dialect
 
 from sim.autopilot.program import Options, build, main
-from tests.support.machine import LateError
+from tests.support.real_flight import Program, free_ports, program, until
 
 BOTH = pytest.mark.parametrize("rules", ["px4", "ardupilot"])
 SPEEDUP = 6.0
@@ -27,36 +25,15 @@ SQUARE = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))
 SIDE_M = 1.0
 
 
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
-@contextlib.contextmanager
-def autopilot(rules: str, port: int) -> Iterator[None]:
+def autopilot(rules: str, port: int) -> AbstractContextManager[Program]:
     """The program itself, as a person starts it."""
     call = [sys.executable, "-m", "sim.autopilot", "--autopilot", rules, "--link", f"udpout:127.0.0.1:{port}"]
-    process = subprocess.Popen([*call, "--speedup", str(SPEEDUP)], stdin=subprocess.DEVNULL)
-    try:
-        yield
-    finally:
-        process.terminate()
-        process.wait(5.0)
-
-
-def until(what: str, done: Callable[[], bool], seconds: float = 20.0) -> None:
-    """Wait for something that happens in another process."""
-    end = time.monotonic() + seconds
-    while not done():
-        if time.monotonic() > end:
-            raise LateError(f"not {what} within {seconds} s")
-        time.sleep(0.02)
+    return program([*call, "--speedup", str(SPEEDUP)])
 
 
 @BOTH
 def test_mavsdk_arms_takes_off_flies_a_square_and_lands(rules):
-    port = free_port()
+    (port,) = free_ports(1)
     mavsdk = Mavsdk(Configuration.create_with_component_type(ComponentType.GROUND_STATION))
     try:
         mavsdk.add_any_connection(f"udpin://127.0.0.1:{port}")
@@ -95,7 +72,7 @@ def test_a_plain_pymavlink_client_arms_takes_off_flies_a_square_and_lands(rules,
     monkeypatch.setitem(os.environ, "MAVLINK20", "1")
     from pymavlink import mavutil  # noqa: PLC0415 (it reads the environment when it is imported)
 
-    port = free_port()
+    (port,) = free_ports(1)
     link = mavutil.mavlink_connection(f"udpin:127.0.0.1:{port}", source_system=255)
     try:
         with autopilot(rules, port):
@@ -207,7 +184,7 @@ def test_a_wrong_address_is_one_line_and_no_trace():
 
 
 def test_it_says_what_it_simulates_and_each_change_of_mode():
-    port = free_port()
+    (port,) = free_ports(1)
     words = ["--autopilot", "ardupilot", "--height-m", "6", "--link", f"udpout:127.0.0.1:{port}", "--seconds", "4"]
     words += ["--set", "FENCE_ENABLE=1", "--set", "FENCE_ALT_MAX=5", "--speedup", "10"]
     call = [sys.executable, "-m", "sim.autopilot", *words]

@@ -6,6 +6,7 @@ may spoil or withhold what passes.
 
 import contextlib
 import os
+import random
 import re
 import select
 import signal
@@ -16,6 +17,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 
 from pymavlink.dialects.v20 import common as dialect
@@ -35,23 +37,34 @@ FIT = {  # the parameters that `follow doctor` asks for
     autopilot.value: tuple(f"{name}={value}" for name, value in fixes(autopilot).items()) for autopilot in Autopilot
 }
 READY_S = 120.0  # a loaded machine compiles the tracker's kernels that long
+PORTS = range(12000, 32000)  # below those that systems hand out: no other socket gets one between the probe and its use
+TURN_S = 0.02
+
+
+def is_free(port: int) -> bool:
+    """Whether a port can be had on this machine, for datagrams and for connections."""
+    for kind in (socket.SOCK_DGRAM, socket.SOCK_STREAM):
+        with socket.socket(socket.AF_INET, kind) as probe:
+            try:
+                probe.bind(("127.0.0.1", port))
+            except OSError:
+                return False
+    return True
 
 
 def free_ports(count: int) -> list[int]:
-    with contextlib.ExitStack() as stack:
-        probes = [stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(count)]
-        for probe in probes:
-            probe.bind(("127.0.0.1", 0))
-        return [probe.getsockname()[1] for probe in probes]
+    """As many ports as asked for, none of them twice; drawn afresh, as other tests run beside this one."""
+    drawn = random.SystemRandom().sample(PORTS, len(PORTS))
+    return list(islice(filter(is_free, drawn), count))
 
 
-def until(what: str, done: Callable[[], bool], seconds: float = 10.0) -> None:
-    """Wait for something that happens in another process."""
-    end = time.monotonic() + seconds
-    while not done():
-        if time.monotonic() > end:
-            raise LateError(f"not {what} within {seconds} s")
-        time.sleep(0.02)
+def until(what: str, done: Callable[[], bool], seconds: float = 20.0) -> None:
+    """Wait for something that happens in another process; a machine that was stopped meanwhile has not waited."""
+    for _turn in range(round(seconds / TURN_S)):
+        if done():
+            return
+        time.sleep(TURN_S)
+    raise LateError(f"not {what} within {seconds} s")
 
 
 @dataclass
@@ -209,10 +222,7 @@ class Program:
             assert self.process.poll() is None or self.said(pattern), f"it ended: {self.lines}"
             return self.said(pattern)
 
-        try:
-            until(f"said {pattern!r}", done, seconds)
-        except LateError as error:
-            raise LateError(f"{error}: {self.lines}") from error
+        until(f"said {pattern!r}", done, seconds)
 
     def end(self, number: int = signal.SIGINT, seconds: float = 30.0) -> int:
         """Send a signal and wait for the end; the exit status."""
@@ -254,7 +264,10 @@ class Program:
 
 @contextlib.contextmanager
 def program(call: list[str], **options) -> Iterator[Program]:
-    """A program of ours on one thread's worth of processor, ended at the end whatever happens."""
+    """A program of ours on one thread's worth of processor, ended at the end whatever happens.
+
+    What is late while it runs tells what it said, and whether it still ran.
+    """
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "COLUMNS": "200", **options.pop("env", {})}
     process = subprocess.Popen(
         call, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, bufsize=0, env=environment, **options
@@ -264,6 +277,10 @@ def program(call: list[str], **options) -> Iterator[Program]:
     listener.start()
     try:
         yield running
+    except LateError as error:
+        ended = process.poll()
+        state = "runs" if ended is None else f"ended with {ended}"
+        raise LateError(f"{error}; {' '.join(call[1:4])} {state} and said {running.lines[-20:]}") from error
     finally:
         running.asleep.clear()
         if process.poll() is None:
