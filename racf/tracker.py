@@ -2,6 +2,7 @@
 
 import math
 import time
+from copy import deepcopy
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +46,10 @@ class Racf:
     def __init__(self, params: Params | str = "racf") -> None:
         self.params = _params(params)
         self._frame_shape: tuple[int, ...] | None = None
+
+    def __copy__(self) -> "Racf":
+        """Copies share nothing: what learns in place would learn in both."""
+        return deepcopy(self)
 
     def init(self, image: UInt8, box: Box) -> Track:
         """Start on the target in `box`; raises ValueError for an invalid image or a box outside it.

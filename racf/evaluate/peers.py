@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from racf.box import Box
 from racf.refine import Refined
 from racf.track import Track
+from racf.tracker import checked_next
 
 OPENCV = {"csrt": "TrackerCSRT", "kcf": "TrackerKCF", "mil": "TrackerMIL", "nano": "TrackerNano", "vit": "TrackerVit"}
 NETWORKS = {"nano": ("backbone", "neckhead"), "vit": ("net",)}  # OpenCV's names of the files that a tracker needs
@@ -49,6 +50,7 @@ class Peer:
         self._tracker = Refined(tracker) if refine else tracker
         self._score: Callable[[], float] | None = getattr(tracker, "getTrackingScore", None)
         self._name, self._box = name, Box(0, 0, 1, 1)
+        self._frame_shape: tuple[int, ...] | None = None
         self._files = ", ".join(f"{key} is {path}" for key, path in (files or {}).items())
 
     def init(self, image: NDArray[np.uint8], box: Box) -> Track:
@@ -67,11 +69,15 @@ class Peer:
             raise ValueError(
                 f"OpenCV's {self._name} cannot start on {box}{asked}: {' '.join(str(error).split())}"
             ) from None
-        self._box = box
+        self._box, self._frame_shape = box, image.shape
         return self._track(True)
 
     def update(self, image: NDArray[np.uint8]) -> Track:
-        """Find the target in the next image."""
+        """Find the target in the next image.
+
+        Raises ValueError if the image differs from the first one in shape or type, or before `init`.
+        """
+        image = checked_next(image, self._frame_shape, None)
         found, (x, y, w, h) = self._tracker.update(image)
         if found and w > 0 and h > 0:
             self._box = Box(float(x), float(y), float(w), float(h))

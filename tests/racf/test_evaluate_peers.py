@@ -81,6 +81,15 @@ def test_a_start_that_opencv_refuses_or_never_ends_is_a_value_error(start, told)
         TrackerSpec.parse("mil").build().init(rendered.picture(*rendered.path_of_target(2)[0]), start)
 
 
+def test_an_image_that_opencv_would_crash_on_is_a_value_error():
+    tracker, first = TrackerSpec.parse("mil").build(), rendered.picture(20, 20, 20, 20)
+    with pytest.raises(ValueError, match="init before update"):
+        tracker.update(first)
+    tracker.init(first, Box(20, 20, 20, 20))
+    with pytest.raises(ValueError, match="must keep the first one's shape"):
+        tracker.update(first[:-8])
+
+
 def test_what_opencv_lacks_is_said_when_it_is_built():
     lacking = [name for name in ("csrt", "kcf") if not opencv_has(name)]
     if not lacking:

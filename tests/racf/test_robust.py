@@ -1,7 +1,7 @@
 """Confidence, occlusion, re-detection, priors: what the follower relies on, on rendered images."""
 
 import dataclasses
-from copy import deepcopy
+from copy import copy, deepcopy
 
 import cv2
 import numpy as np
@@ -300,10 +300,10 @@ def test_without_re_detection_a_target_elsewhere_stays_lost():
 
 @pytest.mark.parametrize("params", [preset("racf"), ROBUST])
 @pytest.mark.parametrize("scene", [image(67, 100), image(300, 60), GROUND, 0 * GROUND])
-@pytest.mark.parametrize("prior", [None, box(300, 60)])
-def test_a_copy_of_a_tracker_sees_what_the_tracker_sees(params, scene, prior):
+@pytest.mark.parametrize(("prior", "copies"), [(None, deepcopy), (box(300, 60), deepcopy), (None, copy)])
+def test_a_copy_of_a_tracker_sees_what_the_tracker_sees(params, scene, prior, copies):
     tracker = settled(params)
-    copied = deepcopy(tracker)
+    copied = copies(tracker)
     own, its = (one.update(scene, prior) for one in (tracker, copied))
     assert (its.box, its.psr, its.confidence, its.found) == (own.box, own.psr, own.confidence, own.found)
     np.testing.assert_array_equal(its.response, own.response)
