@@ -5,6 +5,7 @@ believed (`follow/link/telemetry.py`), and only from the address that it was fir
 Rule 2: we are component 191 of that vehicle, with a HEARTBEAT each second.
 Rule 3: a mode is requested only by `take_control` and `hold`, and counts only when the autopilot's heartbeat shows it.
 Rule 4: once the vehicle has left the mode that we requested, we have no control until `take_control` is called again.
+While it never left that mode, Hold may still be requested, however long nothing was heard: in GUIDED no stick acts.
 Rule 5: a stream that stops or pauses while we are in control ends with a request for Hold or BRAKE, because PX4
 would fall back and then re-enter OFFBOARD by itself at the next setpoint.
 Rule 6: Hold is requested only on a heartbeat that is newer than the reason for it and still shows our mode: whoever
@@ -39,6 +40,7 @@ MODE_EVERY_S = 0.2  # a HEARTBEAT is requested: its mode is the only truth, and 
 MODE_SOON_S = 0.05  # the same while a requested mode is awaited
 VERSION_EVERY_S = 2.0
 STREAM_GAP_S = 0.5  # 2 Hz; also the shortest COM_OF_LOSS_T and GUID_TIMEOUT that we ask for
+DEAD_STICKS_EVERY_S = 10.0
 TEXT_BYTES = 50  # of STATUSTEXT
 REFUSAL_TEXT_S = 2.0  # a STATUSTEXT within this time of a refused request is its reason
 
@@ -57,6 +59,7 @@ class MavlinkClient:
         self._vehicle = TelemetryDecoder(system_id)
         self._rates = StreamRates()
         self._in_control = False
+        self._is_in_ours = False  # in the control mode that we requested, ever since; also when control was given back
         self._request: ModeRequest | None = None
         self._refusal = ""
         self._is_held = False  # in the Hold or BRAKE that we requested
@@ -198,8 +201,8 @@ class MavlinkClient:
         """Give the vehicle back if it obeys us or may soon; returns whether a request may follow.
 
         Requests Hold or BRAKE, or with `for_sticks` the mode that lets the pilot's sticks act, as soon as a heartbeat
-        newer than this call shows that the vehicle is still in our mode.  For the sticks it may also be in the Hold or
-        BRAKE that was requested here.  In any other mode somebody else flies.
+        newer than this call shows that the vehicle is still in our mode, whatever came of an earlier request.  For
+        the sticks it may also be in the Hold or BRAKE that was requested here.  In any other mode somebody else flies.
         """
         if self._vehicle.state.autopilot is None:
             return False
@@ -212,7 +215,7 @@ class MavlinkClient:
             if for_sticks and not request.times:
                 request.mode = mode
             return True
-        if not (self._in_control or (request is not None and request.times)):
+        if not (self._is_in_ours or (request is not None and request.times)):
             self._request = None
             return False
         before = (names.control,) if request is None else (*request.from_modes, names.control)
@@ -319,8 +322,10 @@ class MavlinkClient:
         """Compare the vehicle's mode with the one that we requested."""
         mode, request = self._vehicle.state.mode, self._request
         if request is not None and self._vehicle.state.heartbeat_t_s > request.cause_t_s:
-            if mode == request.mode and request.times:
-                self._in_control = mode == self._names().control
+            # PX4 goes back to OFFBOARD by itself as our stream begins, where it had fallen back from it.
+            by_itself = request.mode == self._names().control and self._stream_t_s > NEVER
+            if mode == request.mode and (request.times or by_itself):
+                self._in_control = self._is_in_ours = mode == self._names().control
                 self._is_held = mode == self._names().hold
                 self._request = None
             elif mode not in request.from_modes and request.mode != mode:
@@ -329,5 +334,15 @@ class MavlinkClient:
                 self._request = None  # it is there already, by somebody else's choice or a failsafe
         if self._is_held and mode != self._names().hold:
             self._is_held = False
-        if self._in_control and (mode != self._names().control or not self._vehicle.state.armed):
-            self._in_control = False  # also after a disarm it is not ours again without an order
+        if self._is_in_ours and (mode != self._names().control or not self._vehicle.state.armed):
+            self._in_control = self._is_in_ours = False  # also after a disarm it is not ours again without an order
+        self._tell_of_dead_sticks()
+
+    def _tell_of_dead_sticks(self) -> None:
+        """Say again and again that the vehicle stays in our mode though nothing is sent or requested."""
+        left_alone = self._is_in_ours and not self._in_control and self._request is None
+        is_heard = self._t_s - self._vehicle.state.heartbeat_t_s <= HEARTBEAT_EVERY_S
+        if left_alone and is_heard and self._is_due("dead sticks", self._t_s, DEAD_STICKS_EVERY_S):
+            mode, sticks = self._vehicle.state.mode, self._names().sticks
+            log.warning("the vehicle is still in %s and nobody flies it: switch to %s", mode, sticks)
+            self.tell(f"Still in {mode}, nobody flies: switch to {sticks}", dialect.MAV_SEVERITY_WARNING)

@@ -180,7 +180,9 @@ class MavlinkLink:
         """Leave the vehicle hovering: in Hold or BRAKE if it obeyed us, as it is if it did not."""
         self.pump()
         if not self.client.hold():
-            log.info("leaving: the vehicle is not ours, no mode is requested")
+            if self.client.vehicle_id is not None:
+                mode = self.client.state(NEVER).mode or "no known mode"
+                log.info("leaving: the vehicle is in %s, and no mode is requested", mode)
             return
         end_s = time.monotonic() + HOLD_S
         while self.client.is_asking() and time.monotonic() < end_s:

@@ -63,7 +63,7 @@ def test_it_follows_the_walker_until_another_client_changes_the_mode_and_then_se
         assert real.pilot.flown_mode() == PILOTS_CHOICE[rules]
         real.application.wait_until_said("ended", 1.5)
         assert real.application.end() == 0
-        assert real.application.said("leaving: the vehicle is not ours")
+        assert real.application.said(f"leaving: the vehicle is in {PILOTS_CHOICE[rules]}, and no mode is requested")
     with against_the_clock():
         check_that_it_followed(flown(real), replace(SCENARIOS["walker"], duration_s=FOLLOW_S + 120))
 

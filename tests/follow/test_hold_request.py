@@ -186,3 +186,74 @@ def test_a_heartbeat_is_requested_because_px4_keeps_its_stream_at_one_hertz():
     pair.to_autopilot = lambda _packets: []
     pair.run(5.0)
     assert pair.client.heard.counts["HEARTBEAT"] == 5
+
+
+def cut(pair: Pair, seconds: float) -> None:
+    """Neither side hears the other; our stream ends with the data that it needs."""
+    ways = pair.to_autopilot, pair.to_client
+    pair.to_autopilot = pair.to_client = lambda _packets: []
+    pair.setpoint = None
+    pair.run(seconds)
+    pair.to_autopilot, pair.to_client = ways
+
+
+@pytest.mark.parametrize("seconds", [3.5, 5.0, 30.0])
+@pytest.mark.parametrize(("for_sticks", "wanted"), [(True, "LOITER"), (False, "BRAKE")])
+def test_after_a_cut_link_the_vehicle_in_our_mode_is_told_of_and_given_back_when_asked(seconds, for_sticks, wanted):
+    pair = Pair(Autopilot.ARDUPILOT).fly()
+    modes, texts = requested(pair), said_to(pair)
+    cut(pair, seconds)
+    pair.run(12.0)
+    assert modes == []
+    assert texts == ["Still in GUIDED, nobody flies: switch to LOITER"] * 2
+    assert pair.client.hold(for_sticks=for_sticks)
+    pair.run(12.0)
+    assert modes == [wanted]
+    assert pair.system.flight.mode == wanted
+    assert len(texts) == 2
+
+
+@BOTH
+def test_a_mode_that_somebody_chose_while_the_link_was_cut_is_theirs(autopilot):
+    pair = Pair(autopilot).fly()
+    modes, texts = requested(pair), said_to(pair)
+    cut(pair, 2.0)
+    pair.system.flight.enter("RTL")
+    cut(pair, 3.0)
+    pair.run(1.2)
+    assert not pair.client.hold()
+    assert not pair.client.hold(for_sticks=True)
+    pair.run(2.0)
+    assert (modes, texts) == ([], [])
+
+
+def said_to(pair: Pair) -> list[str]:
+    """Collects the texts that the client sends to the autopilot from now on."""
+    texts: list[str] = []
+    way, reader = pair.to_autopilot, dialect.MAVLink(None)
+
+    def noted(packets: list[bytes]) -> list[bytes]:
+        messages = [message for packet in packets for message in reader.parse_buffer(packet) or ()]
+        texts.extend(message.text for message in messages if message.get_type() == "STATUSTEXT")
+        return way(packets)
+
+    pair.to_autopilot = noted
+    return texts
+
+
+def test_px4_that_goes_back_to_offboard_by_itself_when_control_is_ordered_again_obeys():
+    pair = Pair(Autopilot.PX4)
+    pair.system.flight.parameters["COM_OBL_RC_ACT"] = 5
+    pair.fly()
+    cut(pair, 5.0)
+    pair.run(2.0)
+    assert (pair.state.mode, pair.state.in_control) == ("HOLD", False)
+    modes = requested(pair)
+    pair.setpoint = HOVER
+    pair.client.take_control()
+    pair.run(0.6)
+    assert modes == []
+    assert (pair.state.mode, pair.state.in_control) == ("OFFBOARD", True)
+    pair.setpoint = None
+    pair.run(2.0)
+    assert (modes, pair.state.mode) == (["HOLD"], "HOLD")
