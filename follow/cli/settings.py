@@ -4,6 +4,7 @@ Layers of settings lie on each other: defaults, scenario, kind of target, file, 
 one line that names the file, the setting, the rule and the value.
 """
 
+import difflib
 import json
 import reprlib
 import sys
@@ -89,12 +90,22 @@ def _branch(default: BranchT, table: object, source: str, name: str) -> BranchT:
     for key, value in cast(Mapping[str, object], table).items():
         path = f"{name}.{key}" if name else key
         if key not in known:
-            raise UsageError(f"{source}: there is no setting {path!r}; there are {', '.join(known)}")
+            raise UsageError(f"{source}: there is no setting {path!r}; {_nearest(key, known)}")
         values[key] = _value(known[key], value, source, path)
     try:
         return replace(default, **values)
     except ValueError as error:
         raise UsageError(f"{source}: {name}: {error}") from None
+
+
+def _nearest(key: str, known: Mapping[str, object]) -> str:
+    """What a wrong name may mean: a setting of its table, or one of a table inside; else all that there are."""
+    if near := difflib.get_close_matches(key, known, n=1):
+        return f"the nearest is {near[0]!r}"
+    for table, branch in known.items():
+        if is_dataclass(branch) and key in (f.name for f in fields(branch)):
+            return f"{key!r} belongs under [{table}]"
+    return f"there are {', '.join(known)}"
 
 
 def _value(default: object, value: object, source: str, name: str) -> object:

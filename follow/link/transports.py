@@ -7,6 +7,7 @@ serial:DEVICE:BAUD  open; reopen after a drop
 """
 
 import contextlib
+import errno
 import fcntl
 import ipaddress
 import os
@@ -95,7 +96,9 @@ def open_transport(uri: str) -> Transport:
             return UdpTransport(name, number, listens=kind == "udpin")
         return TcpTransport(name, number) if kind == "tcp" else SerialTransport(name, number)
     except (OSError, OverflowError, termios.error) as error:
-        raise LinkError(f"the link {uri} cannot be opened: {error}") from None
+        taken = isinstance(error, OSError) and error.errno == errno.EADDRINUSE
+        advice = ": end the program that has it, or use another port" if taken else ""
+        raise LinkError(f"the link {uri} cannot be opened: {error}{advice}") from None
 
 
 class UdpTransport:

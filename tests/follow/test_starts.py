@@ -43,8 +43,11 @@ def test_a_simulation_writes_over_itself_and_moves_any_other(capfd, brief, tmp_p
     err = follow(capfd, *words, "--seed", 1)[1]
     assert f"is now in {tmp_path / 'out/earlier-1'}" in err
     assert json.loads((tmp_path / "out/earlier-1/summary.json").read_text())["seed"] == 0
-    (tmp_path / "out/summary.json").unlink()  # that flight was killed: nobody knows what it was
-    assert f"is now in {tmp_path / 'out/earlier-2'}" in follow(capfd, *words, "--seed", 1)[1]
+    summary = tmp_path / "out/summary.json"
+    summary.write_text(json.dumps({**json.loads(summary.read_text()), "started_utc": "2026-11-27T02:00:00Z"}))
+    assert f"is now in {tmp_path / 'out/earlier-2'}" in follow(capfd, *words, "--seed", 1)[1]  # a person flew that one
+    summary.unlink()  # that flight was killed: nobody knows what it was
+    assert f"is now in {tmp_path / 'out/earlier-3'}" in follow(capfd, *words, "--seed", 1)[1]
 
 
 def test_ctrl_c_in_a_flight_is_said_once(capfd, brief, tmp_path, monkeypatch):

@@ -91,7 +91,7 @@ def parse_page_address(text: str) -> PageAddress:
     host, colon, port = text.rpartition(":")
     host = host.removeprefix("[").removesuffix("]")
     if not colon or not host or not (port.isascii() and port.isdigit()) or not 1 <= int(port) <= LAST_PORT:
-        raise ValueError(f"--page {text!r} must be HOST:PORT, as 127.0.0.1:8080")
+        raise ValueError(f"--page {text!r} must be HOST:PORT with a port from 1 to {LAST_PORT}, as 127.0.0.1:8080")
     return PageAddress(host, int(port))
 
 
