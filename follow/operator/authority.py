@@ -30,8 +30,8 @@ SWITCH_OFF_US = 1300
 RECENT_S = 2.0  # timeout of messages from the remote control and from other senders
 EDGE_S = 0.3  # a switch must keep its new position for this long: one wrong sample is not an order
 
-HOLDING = ("HOLD", "BRAKE")
-"""The modes that this program requests as a stream ends; in ArduPilot's BRAKE no stick acts."""
+STICKLESS = ("HOLD", "BRAKE", "GUIDED")
+"""The modes in which a stick asks for the pilot's: requested as a stream ends, or left there by a cut link."""
 
 KEYS = {"f": Order.FOLLOW, "o": Order.OBSERVE, " ": Order.OBSERVE}
 """Keys in the terminal; `q` ends the flight, `h` and `?` list the keys."""
@@ -199,7 +199,7 @@ class Operator:
             return None
         healthy = self.hears_remote()
         waiting = self.reason is not None and self.reason.cause is Cause.ORDER_WAITS
-        held = self.mode in (Mode.ENDED, Mode.OBSERVE) and self.state.mode in HOLDING
+        held = self.mode in (Mode.ENDED, Mode.OBSERVE) and self.state.mode in STICKLESS
         reason = self.stick(self.heard, self.watches_sticks and (streaming or waiting or held), healthy)
         if reason is not None and not (held and reason.cause is Cause.STICK_JUMPED):
             return reason

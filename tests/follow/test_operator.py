@@ -238,10 +238,11 @@ def test_a_stick_that_a_hand_moves_is_the_pilots(second):
     assert d.round("follow").reason.cause is Cause.STICK
 
 
-def test_a_stick_after_the_end_counts_only_where_sticks_do_nothing():
+@pytest.mark.parametrize("mode", ["BRAKE", "HOLD", "GUIDED"])
+def test_a_stick_after_the_end_counts_only_where_sticks_do_nothing(mode):
     ears = Ears(FAILSAFE)
     d = desk(heard=ears)
-    d.vehicle_mode = "BRAKE"
+    d.vehicle_mode = mode
     assert d.hold("ended", 20) == []
     ears.rc_channels = (*CENTRED[:2], 1500, 1500)  # the pilot is back
     assert d.hold("ended", 3)[-1] is Order.OBSERVE
