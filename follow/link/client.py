@@ -40,7 +40,7 @@ MODE_EVERY_S = 0.2  # a HEARTBEAT is requested: its mode is the only truth, and 
 MODE_SOON_S = 0.05  # the same while a requested mode is awaited
 VERSION_EVERY_S = 2.0
 STREAM_GAP_S = 0.5  # 2 Hz; also the shortest COM_OF_LOSS_T and GUID_TIMEOUT that we ask for
-DEAD_STICKS_EVERY_S = 10.0
+DEAD_STICKS_EVERY_S = 10.0  # told as often as a pilot may need to read it
 TEXT_BYTES = 50  # of STATUSTEXT
 REFUSAL_TEXT_S = 2.0  # a STATUSTEXT within this time of a refused request is its reason
 
@@ -344,5 +344,5 @@ class MavlinkClient:
         is_heard = self._t_s - self._vehicle.state.heartbeat_t_s <= HEARTBEAT_EVERY_S
         if left_alone and is_heard and self._is_due("dead sticks", self._t_s, DEAD_STICKS_EVERY_S):
             mode, sticks = self._vehicle.state.mode, self._names().sticks
-            log.warning("the vehicle is still in %s and nobody flies it: switch to %s", mode, sticks)
-            self.tell(f"Still in {mode}, nobody flies: switch to {sticks}", dialect.MAV_SEVERITY_WARNING)
+            log.warning("the vehicle is still in %s, and nothing is sent to it: switch to %s", mode, sticks)
+            self.tell(f"Still in {mode}, nothing sent: switch to {sticks}", dialect.MAV_SEVERITY_WARNING)

@@ -205,7 +205,7 @@ def test_after_a_cut_link_the_vehicle_in_our_mode_is_told_of_and_given_back_when
     cut(pair, seconds)
     pair.run(12.0)
     assert modes == []
-    assert texts == ["Still in GUIDED, nobody flies: switch to LOITER"] * 2
+    assert texts == ["Still in GUIDED, nothing sent: switch to LOITER"] * 2
     assert pair.client.hold(for_sticks=for_sticks)
     pair.run(12.0)
     assert modes == [wanted]
