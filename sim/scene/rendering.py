@@ -162,8 +162,8 @@ class Scene:
 
     def _seen(self, actor: Drawn | None, things: list[Drawn], *, hidden: bool) -> Seen:
         """The box of all that was drawn of an actor, and the fraction of its silhouette that shows."""
-        if actor is None:
-            return Seen(None, 0.0)
+        if actor is None or actor.low[0] == actor.high[0] or actor.low[1] == actor.high[1]:
+            return Seen(None, 0.0)  # also one of which a line is left at the near plane
         box = Box(actor.low[0], actor.low[1], actor.high[0] - actor.low[0], actor.high[1] - actor.low[1])
         before = [d for d in things if d.distance_m < actor.distance_m and overlap(d, actor)]
         c = self.camera

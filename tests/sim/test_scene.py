@@ -10,7 +10,7 @@ from follow.geometry import Intrinsics, camera_to_ned, project
 from follow.messages import Autopilot, Setpoint
 from sim.scenarios import SCENARIOS, build
 from sim.scene.bodies import body
-from sim.scene.drawing import View
+from sim.scene.drawing import Drawn, View
 from sim.scene.ground import block_corners
 from sim.scene.optics import Lens, Optics, Sensor, streak
 from sim.scene.rendering import Scene, Seen
@@ -227,6 +227,12 @@ def test_what_leaves_the_picture_is_not_visible():
     assert turned.box is None or turned.box.x + turned.box.w < 0 or turned.box.x > CAMERA.width
     behind = Scene(standing(), CAMERA).draw(view(north_m=9.0), 0.0)[1][0]
     assert behind == Seen(None, 0.0)
+
+
+def test_a_car_of_which_the_near_plane_leaves_a_line_is_not_seen(monkeypatch):
+    line = Drawn(1.0, [], (300.0, 100.0), (300.0, 250.0))
+    monkeypatch.setattr("sim.scene.rendering.drawn_body", lambda *_: line)
+    assert Scene(standing(Kind.CAR), CAMERA).draw(view(), 0.0)[1] == (Seen(None, 0.0),)
 
 
 def test_the_sky_is_above_the_horizon():
