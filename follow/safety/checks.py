@@ -77,7 +77,11 @@ def hindrances(
     state: VehicleState, old: tuple[str, ...], unseen_s: float, stopping: Reason | None, forbids: str, limits: Limits
 ) -> tuple[Hindrance, ...]:
     """What forbids FOLLOW now, the ones that do not pass by themselves first; empty: FOLLOW would be granted."""
-    found = [Hindrance(forbids)] if forbids else []
+    found: list[Hindrance] = []
+    if not abs(state.t_s - state.heartbeat_t_s) <= limits.heartbeat_age_s:
+        # What was heard last, the mode above all, says nothing now.
+        found.append(Hindrance(f"nothing heard from the vehicle for {limits.heartbeat_age_s:g} s"))
+    found += [Hindrance(forbids)] if forbids else []
     if not state.armed:
         found.append(Hindrance("the vehicle is not armed"))
     if not state.in_control and state.mode not in open_modes(state):

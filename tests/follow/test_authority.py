@@ -366,3 +366,21 @@ def test_hovering_after_a_search_ends():
             estimate = Estimate(referee.t_s, 0.0, 0.4, 12.0, 0.5, seen_t_s=seen_t_s)
             modes.append(referee.gate.allow(HOVER, estimate, referee.state(calm()), referee.t_s).mode)
     assert list(dict.fromkeys(modes)) == [Mode.COAST, Mode.SEARCH, Mode.HOLD, Mode.ENDED]
+
+
+def test_a_vehicle_that_is_not_heard_is_told_before_what_it_said_last_and_refuses_an_order_at_once():
+    """Its mode of three seconds ago would send the pilot to the wrong switch."""
+    safety, heard_s = Safety(Limits()), 1.0
+    for i in range(180):
+        t_s = i / 30
+        silent = {"heartbeat_t_s": min(t_s, heard_s), "mode": "RTL", "in_control": False}
+        if i == 150:
+            safety.order(Order.FOLLOW)
+        decision = safety.allow(HOVER, seen(t_s), flying(t_s, **silent), t_s)
+        if 1.1 < t_s < heard_s + 3.0:
+            assert "RTL" in str(decision.reason)
+        if t_s > heard_s + 3.1:
+            assert "nothing heard from the vehicle for 3 s" in str(decision.reason)
+            assert "RTL" not in str(decision.reason)
+        if i == 150:
+            assert decision.reason.cause is Cause.ORDER_REFUSED
