@@ -5,7 +5,7 @@ height that its uncertainty leaves possible.  Pure functions.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from follow.geometry import heading_to_ned, ned_to_heading
 from follow.messages import Estimate, OtherSighting, VehicleState
@@ -63,12 +63,16 @@ class Worst:
 
 @dataclass(frozen=True, slots=True)
 class Sighting:
-    """The nearest place where the target may have been at `t_s`, local NED, and the NED angle at which it was seen."""
+    """The nearest place where the target may have been at `t_s`, local NED, and the NED angle at which it was seen.
+
+    `head_down_m` is the highest level, local NED, at which its head may have been, no higher than the vehicle.
+    """
 
     north_m: float
     east_m: float
     sight_rad: float
     t_s: float
+    head_down_m: float
 
 
 UNKNOWN = Worst(0.0, 0.0, 0.0, 0.0)
@@ -76,7 +80,7 @@ UNKNOWN = Worst(0.0, 0.0, 0.0, 0.0)
 
 
 WALK_M_S = 1.4
-"""Somebody of whom only a place is known is taken to walk towards the vehicle."""
+"""Somebody who is not seen, or of whom only a place is known, is taken to walk towards the vehicle."""
 
 GONE = Worst(0.0, math.inf, 0.0, 0.0)
 """A target unseen for longer than `search_after_s` may be anywhere: the vehicle hovers, and flees from no guess."""
@@ -108,13 +112,13 @@ def worst_other(other: OtherSighting | None, state: VehicleState) -> Worst | Non
     return Worst(state.yaw_rad + other.azimuth_rad, max(other.range_m, 0.0), above_m, WALK_M_S)
 
 
-def sprint_above_m(range_m: float, limits: Limits) -> float:
-    """Height above the head from which the vehicle evades somebody who starts to run at it from `range_m`.
+def sprint_above_m(range_m: float, limits: Limits, since_s: float = 0.0) -> float:
+    """Height above the head from which the vehicle evades somebody who ran at it `since_s` ago from `range_m`.
 
     He is below it after range / speed; by then it must have climbed to SPRINT_STANDOFF_M if he sprints, and to
     `min_standoff_m` if he jogs.  The retreat, which only begins by then, is left out.
     """
-    sprint_m, jog_m = (climbed_m(range_m / speed - NOTICE_S, limits) for speed in (SPRINT_M_S, JOG_M_S))
+    sprint_m, jog_m = (climbed_m(range_m / speed - since_s - NOTICE_S, limits) for speed in (SPRINT_M_S, JOG_M_S))
     least_m = limits.min_standoff_m
     return max(min(SPRINT_STANDOFF_M, least_m) - sprint_m, least_m - jog_m, 0.0)
 
@@ -175,6 +179,31 @@ def limit_to_last_seen(
     ahead, _ = ned_to_heading(seen.north_m - state.north_m, seen.east_m - state.east_m, seen.sight_rad)
     allowed = approach_speed(max(ahead - limits.min_standoff_m, 0.0), limits.accel_m_s2)
     return (north, east) if closing <= allowed else heading_to_ned(allowed, across, seen.sight_rad)
+
+
+def walking(target: Worst, seen: Sighting, state: VehicleState) -> Worst:
+    """A target that is not seen, as if it walked towards the vehicle from the nearest place where it was seen last.
+
+    One that may be anywhere stays so.
+    """
+    if not math.isfinite(target.range_m):
+        return target
+    away_m = math.hypot(seen.north_m - state.north_m, seen.east_m - state.east_m)
+    walked_m = WALK_M_S * max(state.t_s - seen.t_s, 0.0)
+    range_m = min(target.range_m, max(away_m - walked_m, 0.0))
+    return replace(target, range_m=range_m, approach_m_s=max(target.approach_m_s, WALK_M_S))
+
+
+def limit_descent_unseen(down: float, seen: Sighting, state: VehicleState, limits: Limits) -> float:
+    """The downward speed over a target that is not seen: a climb where it may run under the vehicle.
+
+    It may have begun to run when it was seen last, and its head be as high as it may have been then.  The height is
+    that of `sprint_above_m`, `min_standoff_m` in the end, so that the climb has an end: it flees from no guess.
+    """
+    away_m = math.hypot(seen.north_m - state.north_m, seen.east_m - state.east_m)
+    needed_m = sprint_above_m(away_m, limits, max(state.t_s - seen.t_s, 0.0))
+    lacking_m = needed_m - (seen.head_down_m - state.down_m)
+    return min(down, -min(lacking_m / FULL_CLIMB_M, 1.0) * limits.climb_m_s) if lacking_m > 0.0 else down
 
 
 def needed_above_m(target: Worst, state: VehicleState, limits: Limits) -> float:

@@ -18,7 +18,9 @@ from follow.safety.distance import (
     approach_speed,
     limit_closing_speed,
     limit_descent,
+    limit_descent_unseen,
     limit_to_last_seen,
+    walking,
 )
 from follow.safety.heights import greatest_height_m, least_height_m
 from follow.safety.limits import Limits
@@ -79,6 +81,7 @@ HELD = {
     "view": "less sideways or back: limits.out_of_view_m_s (the camera does not look there)",
     "last sighting": "slower: to stop before the last sighting (the target is not seen)",
     "stand-off": "slower: limits.min_standoff_m (the target may be near)",
+    "below": "climb: limits.min_standoff_m (the target is not seen and may come)",
     "another": "slower: limits.min_standoff_m (another person may be near)",
     "fence": "slower: limits.fence_m (near the border)",
     "altitude": "less climb or descent: limits.floor_m or limits.ceiling_m or limits.above_target_m",
@@ -117,14 +120,16 @@ def limit_velocity(
     steps.append(("view", heading_to_ned(*viewed, state.yaw_rad) if viewed != slow else steps[-1][1]))
     if around.last_seen is not None:
         steps.append(("last sighting", limit_to_last_seen(*steps[-1][1], around.last_seen, state, limits)))
-    steps.append(("stand-off", limit_closing_speed(*steps[-1][1], around.target, limits)))
+    target = around.target if around.last_seen is None else walking(around.target, around.last_seen, state)
+    steps.append(("stand-off", limit_closing_speed(*steps[-1][1], target, limits)))
     down = limit_descent(desired.down_m_s, around.target, state, limits)
     if around.another is not None:
         steps.append(("another", limit_closing_speed(*steps[-1][1], around.another, limits)))
         down = limit_descent(down, around.another, state, limits)
     out = state.north_m - around.fence_centre[0], state.east_m - around.fence_centre[1]
     steps.append(("fence", limit_to_fence(*steps[-1][1], out, limits)))
-    banded = limit_altitude(down, around.target, state, limits)
+    safe = down if around.last_seen is None else limit_descent_unseen(down, around.last_seen, state, limits)
+    banded = limit_altitude(safe, around.target, state, limits)
     acted = [name for (_, before), (name, after) in pairwise(steps) if before != after]
-    acted += ["altitude"] * (banded != desired.down_m_s)
+    acted += ["below"] if safe < down else ["altitude"] * (banded != desired.down_m_s)
     return (*steps[-1][1], banded), tuple(HELD[name] for name in acted)

@@ -69,6 +69,9 @@ class Gate:
         return self.authority.mode
 
 
+FOLLOWING = (Mode.FOLLOW, Mode.COAST, Mode.SEARCH)
+"""The modes in which the vehicle goes after its target, or looks for it."""
+
 STEP_S = 0.1
 """Maximum time step of the ramps: a longer gap between rounds counts as this."""
 
@@ -86,7 +89,7 @@ def speed(gate: Gate) -> float:
 
 def scale_for_mode(mode: Mode, desired: Setpoint, unseen_s: float, limits: Limits) -> Setpoint:
     """The desired setpoint that the mode permits: all of it, scaled down with time, the turn only, or zero."""
-    if mode not in (Mode.FOLLOW, Mode.COAST, Mode.SEARCH) or not desired.is_finite():
+    if mode not in FOLLOWING or not desired.is_finite():
         return Setpoint()
     desired = Setpoint(*(clamped(getattr(desired, name), PLAUSIBLE) for name in Setpoint.__slots__))
     if mode is Mode.FOLLOW:
@@ -213,13 +216,17 @@ def remembered(gate: Gate, target: Worst, estimate: Estimate, state: VehicleStat
         moved = state.reset_north_m, state.reset_east_m
         seen, centre = gate.last_seen, gate.fence_centre
         if seen is not None:
-            seen = replace(seen, north_m=seen.north_m + moved[0], east_m=seen.east_m + moved[1])
+            head_down_m = seen.head_down_m + state.reset_down_m
+            seen = replace(
+                seen, north_m=seen.north_m + moved[0], east_m=seen.east_m + moved[1], head_down_m=head_down_m
+            )
         if centre is not None:
             centre = centre[0] + moved[0], centre[1] + moved[1]
         gate = replace(gate, resets=state.resets, last_seen=seen, fence_centre=centre)
     if is_fresh and (gate.last_seen is None or estimate.seen_t_s > gate.last_seen.t_s):
         north, east = heading_to_ned(target.range_m, 0.0, target.sight_rad)
-        seen = Sighting(state.north_m + north, state.east_m + east, target.sight_rad, estimate.seen_t_s)
+        at = state.north_m + north, state.east_m + east
+        seen = Sighting(*at, target.sight_rad, estimate.seen_t_s, state.down_m + target.above_m)
         gate = replace(gate, last_seen=seen)
     if is_fresh and state.home_t_s > NEVER:
         gate = replace(gate, fence_centre=(state.home_north_m, state.home_east_m))
@@ -245,7 +252,7 @@ def permitted(
         return present_velocity(target, state, limits), clamped(state.yaw_rate_rad_s, limits.yaw_rate_rad_s), ()
     allowed = scale_for_mode(gate.mode, desired, unseen_s, limits)
     speed_m_s = limits.speed_m_s if gate.mode is Mode.FOLLOW else min(limits.coast_m_s, limits.speed_m_s)
-    last_seen = gate.last_seen if unseen_s > UNSEEN_S else None
+    last_seen = gate.last_seen if unseen_s > UNSEEN_S and gate.mode in FOLLOWING else None
     around = Surroundings(target, gate.fence_centre or (state.north_m, state.east_m), last_seen, another)
     velocity, held = limit_velocity(allowed, speed_m_s, around, state, limits)
     return velocity, allowed.yaw_rate_rad_s, held

@@ -10,18 +10,22 @@ from hypothesis import strategies as st
 from follow.messages import HOVER, Cause, Estimate, Mode, Order, Setpoint
 from follow.safety.distance import (
     DRIFT_M_S,
+    GONE,
     JOG_M_S,
     NOTICE_S,
     SPRINT_M_S,
     SPRINT_STANDOFF_M,
+    WALK_M_S,
     Sighting,
     Worst,
     closing_speed,
     limit_closing_speed,
+    limit_descent_unseen,
     limit_to_last_seen,
     needed_above_m,
     sprint_above_m,
     stopping_speed,
+    walking,
     worst,
 )
 from follow.safety.envelope import HELD
@@ -68,7 +72,7 @@ def test_a_vehicle_stops_before_the_place_where_its_target_vanished(speed):
     v, north, ramp = speed, -room + 0.25 * speed, VelocityRamp((speed, 0.0))
     for _ in range(600):
         state = flying(0.0, north_m=north)
-        desired = limit_to_last_seen(speed, 0.0, Sighting(0.0, 0.0, 0.0, 0.0), state, LIMITS)
+        desired = limit_to_last_seen(speed, 0.0, Sighting(0.0, 0.0, 0.0, 0.0, 0.0), state, LIMITS)
         ramp = ramp.towards(desired, DT, 8.0, 2.5, 10.0)
         v += (ramp.v[0] - v) * DT / 0.6
         north += v * DT
@@ -115,6 +119,79 @@ def test_from_the_height_that_a_run_needs_the_stand_off_is_kept(away, run):
         above += rate * 1e-3
     assert above >= least - 0.01
     assert sprint_above_m(away, LIMITS) <= LIMITS.min_standoff_m
+
+
+@given(
+    st.floats(0.0, 40.0),
+    st.floats(0.0, 4.0),
+    st.sampled_from([(SPRINT_M_S, SPRINT_STANDOFF_M), (JOG_M_S, LIMITS.min_standoff_m)]),
+)
+def test_who_runs_unseen_is_evaded_upward_from_the_height_that_a_run_needs(away, higher, run):
+    """Referee: the climb step by step, noticed after 0.15 s, by a vehicle with a lag of 0.6 s."""
+    speed, least = run
+    above = sprint_above_m(away, LIMITS) + higher
+    seen_last = Sighting(away, 0.0, 0.0, 0.0, -1.8)
+    down, v, ramp, t_s = -1.8 - above, 0.0, VelocityRamp((0.0,)), 0.0
+    nearest, highest = math.inf, above
+    while t_s < away / speed + 3.0:
+        t_s += DT
+        state = flying(t_s, down_m=down, north_m=0.0)
+        wanted = limit_descent_unseen(0.0, seen_last, state, LIMITS) if t_s > 0.15 else 0.0
+        ramp = ramp.towards((wanted,), DT, LIMITS.climb_m_s, LIMITS.climb_accel_m_s2, LIMITS.jerk_m_s3)
+        v += (ramp.v[0] - v) * DT / 0.6
+        down += v * DT
+        nearest = min(nearest, math.hypot(max(away - speed * t_s, 0.0), -1.8 - down))
+        highest = max(highest, -1.8 - down)
+    assert nearest >= least - 0.05
+    way_m = LIMITS.climb_m_s**2 / (2 * LIMITS.climb_accel_m_s2) + 0.6 * LIMITS.climb_m_s  # of braking, and the lag
+    begun = sprint_above_m(away, LIMITS) + higher
+    assert highest <= max(begun, LIMITS.min_standoff_m + way_m) + 1e-6  # it flees from no guess
+
+
+@given(st.floats(0.0, 40.0), st.floats(-math.pi, math.pi), st.floats(0.0, 4.0), st.floats(0.0, 6.0), st.floats(-7, 7))
+def test_who_walks_unseen_is_kept_from_as_one_who_is_seen_to_walk(away, sight, unseen_s, above, toward):
+    """Referee: the stand-off towards somebody who was seen there and has walked towards the vehicle since."""
+    state = flying(unseen_s, down_m=-above)
+    place = away * math.cos(sight), away * math.sin(sight)
+    behind = Worst(sight, 100.0, above, toward)  # the estimate lets him go on
+    unseen = walking(behind, Sighting(*place, sight, 0.0, 0.0), state)
+    seen_walk = Worst(sight, max(away - WALK_M_S * unseen_s, 0.0), above, max(WALK_M_S, toward))
+    assert closing_speed(unseen, LIMITS) == pytest.approx(closing_speed(seen_walk, LIMITS))
+    assert closing_speed(unseen, LIMITS) <= closing_speed(behind, LIMITS)
+    assert walking(GONE, Sighting(*place, sight, 0.0, 0.0), state) == GONE
+
+
+@pytest.mark.parametrize(("jump_m", "mode_s"), [(0.0, 2.0), (0.0, 8.0), (-5.0, 2.0)])
+def test_a_low_vehicle_whose_target_is_lost_climbs_over_whoever_comes_and_no_further(jump_m, mode_s):
+    """Also in SEARCH, and when the autopilot's height jumps; as before it does not flee from a guess."""
+    safety, t_s = engaged(down_m=-3.0)
+    high_m, down, reset, notes = 3.0, -3.0, {}, set()
+    for i in range(1, round(mode_s / DT)):
+        now = t_s + i * DT
+        if i == 20 and jump_m:
+            down, reset = down + jump_m, {"resets": 1, "reset_t_s": now, "reset_down_m": jump_m}
+        low = replace(seen(now), seen_t_s=t_s, range_m=9.0, ground_below_m=high_m, ground_std_m=0.1)
+        state = flying(now, down_m=down, **{**obeyed(safety), **reset})
+        decision = safety.allow(Setpoint(1.0, 0.0, 0.5), low, state, now)
+        down += safety.gate.down.v[0] * DT
+        high_m -= safety.gate.down.v[0] * DT
+        notes |= set(decision.notes)
+    assert decision.mode == ("coast" if mode_s < 4.0 else "search")
+    assert HELD["below"] in notes
+    if mode_s > 4.0:  # a head at 2 m, 0.2 m for the ground's uncertainty; 1 m of braking
+        assert 6.2 <= high_m <= 7.3
+    else:
+        assert 5.0 <= high_m <= 7.3
+
+
+def test_a_vehicle_that_stops_does_not_climb_over_a_target_that_it_lost():
+    safety, t_s = engaged(down_m=-3.0)
+    safety.order(Order.OBSERVE)
+    for i in range(1, 30):
+        now = t_s + i * DT
+        low = replace(seen(now), seen_t_s=t_s, ground_below_m=3.0, ground_std_m=0.1, target_height_m=1.8)
+        decision = safety.allow(HOVER, low, flying(now, down_m=-3.0), now)
+        assert decision.setpoint is None or abs(decision.setpoint.down_m_s) < 1e-6
 
 
 def test_lower_than_a_run_allows_the_gate_climbs_although_nobody_runs():

@@ -10,6 +10,8 @@ from follow.control.servo import ServoConfig, ServoMode
 from follow.messages import Autopilot, Order
 from follow.operator.consoles import RAISE_RANGE, STANDOFF_RANGE
 from follow.selection import Wanted
+from racf.box import Box
+from racf.track import Track
 from sim.autopilot.core import Result
 from tests.support.bounds import REMOTE_TOLD_S, RUN_M_S, SILENT_S, STICK_SEEN_S, STREAM_LOSS_S, stop
 from tests.support.fault_expectations import (
@@ -250,6 +252,18 @@ def toward(speed_m_s: float) -> dict[str, object]:
     return {"path": lambda t_s: (12.0 - speed_m_s * max(t_s - 15.0, 0.0), 0.0), "end_t_s": end}
 
 
+def covered_then_lost(rig: Rig) -> None:
+    """Whoever comes is covered more and more from below, to a half within a second, and then not found any more."""
+    began_t_s = rig.t_s
+
+    def track(track: Track) -> Track:
+        seen = 1.0 - min(rig.t_s - began_t_s, 1.0) / 2
+        box = Box(track.box.x, track.box.y, track.box.w * seen, track.box.h * seen)
+        return replace(track, box=box, found=track.found and rig.t_s < began_t_s + 1.0)
+
+    rig.track = track
+
+
 def hides(speed_m_s: float) -> dict[str, object]:
     """The target runs away, vanishes behind a wall at 22 s and stands there."""
     path = lambda t_s: (12.0 + speed_m_s * max(min(t_s, 22.0) - 6.0, 0.0), 0.0)  # noqa: E731
@@ -323,6 +337,17 @@ DISTANCE_ROWS = (
             {**toward(speed), "fault_t_s": 5.0},
         )
         for speed, least in ((3.0, 4.0), (6.0, 3.0))
+    ),
+    # Seen smaller he seems farther away, and unseen he may come under a vehicle that is low.
+    *(
+        Row(
+            f"target comes at {speed:g} m/s, half covered, then lost",
+            covered_then_lost,
+            keeps(least),
+            {**toward(speed), "down_rad": 0.2, "height_m": 3.0},
+            speed == 3.0,
+        )
+        for speed, least in ((1.4, 4.0), (3.0, 4.0), (6.0, 3.0))
     ),
     *(
         Row(f"target hides at {speed:g} m/s and stands there", lose, keeps(0.5), hides(speed))
