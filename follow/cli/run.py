@@ -16,7 +16,7 @@ from typing import Any
 from follow.camera import Camera
 from follow.camera.calibration import described
 from follow.camera.live import LiveVideo
-from follow.camera.names import is_camera, is_live, parse_camera
+from follow.camera.names import CameraKind, CameraName, is_camera, is_live, parse_camera
 from follow.camera.realtime import RealTime
 from follow.camera.recent import RecentFrames
 from follow.camera.sizes import shrink_for, whole
@@ -132,7 +132,7 @@ def check(command: RunCommand) -> None:
     if not command.link.startswith("mavsdk+"):
         parse_address(command.link)
     if is_live(command.camera):
-        parse_camera(command.camera)
+        check_device(parse_camera(command.camera))
     elif not command.camera.startswith(SCENE) and not Path(command.camera).exists():
         raise UsageError(
             f"camera {command.camera!r} is not a file or folder, a device (0, /dev/video0), "
@@ -145,6 +145,13 @@ def check(command: RunCommand) -> None:
         raise UsageError(f"there is no scene {name!r}; there are {', '.join(SCENARIOS)}")
     if name == command.camera or command.config.camera.down_deg is not None:  # else the angle depends on the autopilot
         height_line(command.config)
+
+
+def check_device(camera: CameraName) -> None:
+    """Raise UsageError for a device that is not there: it would be told only after the vehicle was waited for."""
+    if camera.kind is CameraKind.DEVICE and not Path(camera.address).exists():
+        there = ", ".join(sorted(str(path) for path in Path("/dev").glob("video*"))) or "none: is it plugged in?"
+        raise UsageError(f"there is no camera {camera.address}; there are {there}")
 
 
 def check_waiver(name: str) -> None:

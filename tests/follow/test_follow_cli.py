@@ -168,6 +168,11 @@ def test_ctrl_c_writes_everything_up_to_there(capfd, footage, tmp_path, monkeypa
         (("run", "--link", "udpin:127.0.0.1:0"), 2, "--target"),
         (("run", "--link", "udpin:127.0.0.1:0", "--target", "1,2,3"), 2, "1,2,3"),
         (("run", "--link", "udpin:127.0.0.1:0", "--camera", "scene:nowhere"), 2, "nowhere"),
+        (
+            ("run", "--link", "udpin:127.0.0.1:0", "--camera", "/dev/video97", "--target", "1,2,30,40"),
+            2,
+            "/dev/video97",
+        ),
         (("run", "--link", "udpin:127.0.0.1:0", "--rc-channel", "0"), 2, "--rc-channel"),
         (("run", "--link", "udpin:127.0.0.1:0", "--seconds", "nan"), 2, "--seconds"),
         (("doctor", "--system-id", "256"), 2, "--system-id"),
