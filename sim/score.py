@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from follow.geometry import Intrinsics, ned_to_heading
-from follow.messages import Setpoint, Tick
+from follow.messages import Cause, Setpoint, Tick
 from racf.box import Box
 from sim.camera import FrameTruth, SceneCamera
 from sim.dynamics import VehicleTruth
@@ -33,7 +33,8 @@ class ScoredTick:
     """What scoring needs of one round.
 
     `box` is the tracker's (None: no new frame) and `truth` that frame's.  `nearest_m` and `nearest_other_m` lead from
-    the vehicle to the target's body and to the nearest other actor's (inf: there is nobody else).
+    the vehicle to the target's body and to the nearest other actor's (inf: there is nobody else).  `begins` is whether
+    the setpoints began again at the vehicle's own velocity, because it does not fly what was sent.
     """
 
     t_s: float
@@ -46,6 +47,7 @@ class ScoredTick:
     truth: FrameTruth | None
     nearest_m: float = math.inf
     nearest_other_m: float = math.inf
+    begins: bool = False
 
     @classmethod
     def of(cls, tick: Tick, camera: SceneCamera) -> "ScoredTick":
@@ -63,6 +65,7 @@ class ScoredTick:
             camera.truth(tick.frame.index) if tick.frame else None,
             away[0],
             min(away[1:], default=math.inf),
+            tick.decision.reason.cause is Cause.NOT_OBEYING,
         )
 
 
@@ -223,12 +226,13 @@ def violations(rows: Sequence[ScoredTick], limits: Mapping[str, float]) -> dict[
     """In how many rounds each limit was passed, from the first that sent a setpoint on.
 
     Speeds and the distance to the target's body are checked in rounds that sent a setpoint, accelerations if the round
-    before also did; the vehicle's own position in all.  Heights are above the ground below the vehicle, the fence is
-    about its position at the first setpoint.
+    before also did and the setpoints did not begin again; the vehicle's own position in all.  Heights are above the
+    ground below the vehicle, the fence is about its position at the first setpoint.
     """
     count: Counter[str] = Counter()
     first = next((k for k, row in enumerate(rows) if row.setpoint is not None), len(rows))
     before: tuple[float, complex, float] | None = None
+    had_begun = False
     for row in rows[first:]:
         m, start = row.vehicle, rows[first].vehicle
         over = {
@@ -243,7 +247,7 @@ def violations(rows: Sequence[ScoredTick], limits: Mapping[str, float]) -> dict[
             over["speed_m_s"] = abs(velocity)
             over["climb_m_s"] = abs(sent.down_m_s)
             over["yaw_rate_rad_s"] = abs(sent.yaw_rate_rad_s)
-            if before is not None and row.t_s > before[0]:
+            if before is not None and row.t_s > before[0] and not (row.begins and not had_begun):
                 dt = row.t_s - before[0]
                 over["accel_m_s2"] = abs(velocity - before[1]) / dt
                 over["climb_accel_m_s2"] = abs(sent.down_m_s - before[2]) / dt
@@ -252,5 +256,5 @@ def violations(rows: Sequence[ScoredTick], limits: Mapping[str, float]) -> dict[
         least = {"floor_m": m.height_m, "min_standoff_m": row.nearest_m if sent is not None else math.inf}
         for name, value in least.items():
             count[name] += name in limits and value < limits[name] * (1 - SLACK)
-        before = now
+        before, had_begun = now, row.begins
     return {name: passed for name, passed in count.items() if passed}

@@ -95,6 +95,11 @@ def test_limits_are_checked_again_on_what_was_sent():
         "accel_m_s2": 1,
         "yaw_rate_rad_s": 1,
     }
+    flight = rows([MIDDLE] * 10, sent=jump)
+    again = [replace(row, begins=k > 4) for k, row in enumerate(flight)]  # at the velocity of a vehicle that disobeys
+    assert score(again, CAMERA, 9.0, LIMITS).violations == {"yaw_rate_rad_s": 1}
+    late = [replace(row, begins=k > 3) for k, row in enumerate(flight)]
+    assert "accel_m_s2" in score(late, CAMERA, 9.0, LIMITS).violations
 
 
 @pytest.mark.parametrize(
