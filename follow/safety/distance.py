@@ -65,7 +65,9 @@ class Worst:
 class Sighting:
     """The nearest place where the target may have been at `t_s`, local NED, and the NED angle at which it was seen.
 
-    `head_down_m` is the highest level, local NED, at which its head may have been, no higher than the vehicle.
+    `head_down_m` is the highest level, local NED, at which its head may have been, no higher than the vehicle.  It was
+    in unbroken view from `since_s` on; `base_down_m` is the vehicle's level when it had been in view for `STEADY_S`, or
+    the lowest level since.
     """
 
     north_m: float
@@ -73,6 +75,8 @@ class Sighting:
     sight_rad: float
     t_s: float
     head_down_m: float
+    base_down_m: float
+    since_s: float
 
 
 UNKNOWN = Worst(0.0, 0.0, 0.0, 0.0)
@@ -82,8 +86,8 @@ UNKNOWN = Worst(0.0, 0.0, 0.0, 0.0)
 WALK_M_S = 1.4
 """Somebody who is not seen, or of whom only a place is known, is taken to walk towards the vehicle."""
 
-GONE = Worst(0.0, math.inf, 0.0, 0.0)
-"""A target unseen for longer than `search_after_s` may be anywhere: the vehicle hovers, and flees from no guess."""
+STEADY_S = 3.0
+"""Something in view for this long is taken for the target where a climb over it begins: glimpses may be of another."""
 
 
 def worst(estimate: Estimate, state: VehicleState, limits: Limits) -> Worst:
@@ -102,6 +106,38 @@ def worst(estimate: Estimate, state: VehicleState, limits: Limits) -> Worst:
     towards, _ = ned_to_heading(north, east, sight)
     closing = min(max(towards, 0.0), DRIFT_M_S)
     return Worst(sight, max(near, 0.0), max(below - top, 0.0), -away, spare, down, closing)
+
+
+def gone(seen: Sighting | None, state: VehicleState) -> Worst:
+    """A target that may be anywhere along the ground, its head as high as when it was seen last.
+
+    Unseen for longer than `search_after_s` it is so: the vehicle hovers over whoever comes, and flees from no guess.
+    """
+    above_m = max(seen.head_down_m - state.down_m, 0.0) if seen is not None else 0.0
+    return Worst(0.0, math.inf, above_m, 0.0)
+
+
+def sighted(before: Sighting | None, target: Worst, t_s: float, state: VehicleState, limits: Limits) -> Sighting:
+    """The target as it was seen at `t_s`; `before` is the sighting before it, None for one that nothing leads on."""
+    north, east = heading_to_ned(target.range_m, 0.0, target.sight_rad)
+    is_on = before is not None and t_s - before.t_s <= limits.coast_after_s
+    since_s = before.since_s if before is not None and is_on else t_s
+    base_m = state.down_m
+    if before is not None and t_s - since_s < STEADY_S:
+        base_m = max(before.base_down_m, base_m)
+    place = state.north_m + north, state.east_m + east
+    return Sighting(*place, target.sight_rad, t_s, state.down_m + target.above_m, base_m, since_s)
+
+
+def moved(seen: Sighting, state: VehicleState) -> Sighting:
+    """A sighting after the autopilot moved its own origin: it moves along."""
+    return replace(
+        seen,
+        north_m=seen.north_m + state.reset_north_m,
+        east_m=seen.east_m + state.reset_east_m,
+        head_down_m=seen.head_down_m + state.reset_down_m,
+        base_down_m=seen.base_down_m + state.reset_down_m,
+    )
 
 
 def worst_other(other: OtherSighting | None, state: VehicleState) -> Worst | None:
@@ -198,12 +234,15 @@ def limit_descent_unseen(down: float, seen: Sighting, state: VehicleState, limit
     """The downward speed over a target that is not seen: a climb where it may run under the vehicle.
 
     It may have begun to run when it was seen last, and its head be as high as it may have been then.  The height is
-    that of `sprint_above_m`, `min_standoff_m` in the end, so that the climb has an end: it flees from no guess.
+    that of `sprint_above_m`, `min_standoff_m` in the end.  Glimpses of something level with the vehicle must not lead
+    it up step by step: in all it climbs no more than that from where it had the target steadily in view.
     """
     away_m = math.hypot(seen.north_m - state.north_m, seen.east_m - state.east_m)
     needed_m = sprint_above_m(away_m, limits, max(state.t_s - seen.t_s, 0.0))
     lacking_m = needed_m - (seen.head_down_m - state.down_m)
-    return min(down, -min(lacking_m / FULL_CLIMB_M, 1.0) * limits.climb_m_s) if lacking_m > 0.0 else down
+    if lacking_m > 0.0:
+        down = min(down, -min(lacking_m / FULL_CLIMB_M, 1.0) * limits.climb_m_s)
+    return down if seen.base_down_m - state.down_m < limits.min_standoff_m else max(down, 0.0)
 
 
 def needed_above_m(target: Worst, state: VehicleState, limits: Limits) -> float:

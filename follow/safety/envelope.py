@@ -131,5 +131,5 @@ def limit_velocity(
     safe = down if around.last_seen is None else limit_descent_unseen(down, around.last_seen, state, limits)
     banded = limit_altitude(safe, around.target, state, limits)
     acted = [name for (_, before), (name, after) in pairwise(steps) if before != after]
-    acted += ["below"] if safe < down else ["altitude"] * (banded != desired.down_m_s)
+    acted += ["below"] if banded == safe < down else ["altitude"] * (banded != desired.down_m_s or safe < down)
     return (*steps[-1][1], banded), tuple(HELD[name] for name in acted)

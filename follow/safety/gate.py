@@ -6,7 +6,7 @@
 import math
 from dataclasses import dataclass, field, replace
 
-from follow.geometry import heading_to_ned, ned_to_heading, wrap
+from follow.geometry import ned_to_heading, wrap
 from follow.messages import (
     NEVER,
     NO_INSTRUCTION,
@@ -25,13 +25,15 @@ from follow.safety.authority import Authority, Facts, judged
 from follow.safety.checks import PLAUSIBLE, Hindrance, hindrances, must_stop, stale, unseen
 from follow.safety.consistency import Consistency
 from follow.safety.distance import (
-    GONE,
     UNKNOWN,
     Sighting,
     Worst,
     distance_m,
+    gone,
     limit_closing_speed,
     limit_descent,
+    moved,
+    sighted,
     worst,
     worst_other,
 )
@@ -150,9 +152,9 @@ def decide(
     unseen_s = unseen(estimate, state.t_s, limits)
     is_fresh = not old and math.isfinite(unseen_s)
     target = worst(estimate, state, limits) if is_fresh else UNKNOWN
-    gate = remembered(gate, target, estimate, state, dt, is_fresh)
+    gate = remembered(gate, target, estimate, state, dt, is_fresh, limits)
     if is_fresh and unseen_s > limits.search_after_s:
-        target = GONE
+        target = gone(gate.last_seen, state)
     gate = replace(gate, aimed_t_s=t_s) if instruction.aimed else gate
     authority = judged(gate.authority, facts(gate, target, estimate, state, old, unseen_s, instruction, limits), limits)
     if authority.mode in STREAMING and not math.isfinite(state.yaw_rad):
@@ -210,24 +212,19 @@ def too_near(estimate: Estimate, limits: Limits) -> str:
     return f"range uncertain, maybe under {least_m:g} m: wait"
 
 
-def remembered(gate: Gate, target: Worst, estimate: Estimate, state: VehicleState, dt_s: float, is_fresh: bool) -> Gate:
+def remembered(
+    gate: Gate, target: Worst, estimate: Estimate, state: VehicleState, dt_s: float, is_fresh: bool, limits: Limits
+) -> Gate:
     """The gate with the place of the last sighting, the fence's centre and the vehicle's response."""
     if state.resets != gate.resets:  # the autopilot moved its own origin: what is remembered moves with it
-        moved = state.reset_north_m, state.reset_east_m
-        seen, centre = gate.last_seen, gate.fence_centre
-        if seen is not None:
-            head_down_m = seen.head_down_m + state.reset_down_m
-            seen = replace(
-                seen, north_m=seen.north_m + moved[0], east_m=seen.east_m + moved[1], head_down_m=head_down_m
-            )
+        seen = moved(gate.last_seen, state) if gate.last_seen is not None else None
+        centre = gate.fence_centre
         if centre is not None:
-            centre = centre[0] + moved[0], centre[1] + moved[1]
+            centre = centre[0] + state.reset_north_m, centre[1] + state.reset_east_m
         gate = replace(gate, resets=state.resets, last_seen=seen, fence_centre=centre)
     if is_fresh and (gate.last_seen is None or estimate.seen_t_s > gate.last_seen.t_s):
-        north, east = heading_to_ned(target.range_m, 0.0, target.sight_rad)
-        at = state.north_m + north, state.east_m + east
-        seen = Sighting(*at, target.sight_rad, estimate.seen_t_s, state.down_m + target.above_m)
-        gate = replace(gate, last_seen=seen)
+        before = gate.last_seen if gate.mode in FOLLOWING else None  # a person flies: nothing was climbed for a glimpse
+        gate = replace(gate, last_seen=sighted(before, target, estimate.seen_t_s, state, limits))
     if is_fresh and state.home_t_s > NEVER:
         gate = replace(gate, fence_centre=(state.home_north_m, state.home_east_m))
     if gate.mode not in FLYING or not is_fresh:

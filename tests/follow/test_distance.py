@@ -10,15 +10,16 @@ from hypothesis import strategies as st
 from follow.messages import HOVER, Cause, Estimate, Mode, Order, Setpoint
 from follow.safety.distance import (
     DRIFT_M_S,
-    GONE,
     JOG_M_S,
     NOTICE_S,
     SPRINT_M_S,
     SPRINT_STANDOFF_M,
+    STEADY_S,
     WALK_M_S,
     Sighting,
     Worst,
     closing_speed,
+    gone,
     limit_closing_speed,
     limit_descent_unseen,
     limit_to_last_seen,
@@ -72,7 +73,7 @@ def test_a_vehicle_stops_before_the_place_where_its_target_vanished(speed):
     v, north, ramp = speed, -room + 0.25 * speed, VelocityRamp((speed, 0.0))
     for _ in range(600):
         state = flying(0.0, north_m=north)
-        desired = limit_to_last_seen(speed, 0.0, Sighting(0.0, 0.0, 0.0, 0.0, 0.0), state, LIMITS)
+        desired = limit_to_last_seen(speed, 0.0, Sighting(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), state, LIMITS)
         ramp = ramp.towards(desired, DT, 8.0, 2.5, 10.0)
         v += (ramp.v[0] - v) * DT / 0.6
         north += v * DT
@@ -130,7 +131,7 @@ def test_who_runs_unseen_is_evaded_upward_from_the_height_that_a_run_needs(away,
     """Referee: the climb step by step, noticed after 0.15 s, by a vehicle with a lag of 0.6 s."""
     speed, least = run
     above = sprint_above_m(away, LIMITS) + higher
-    seen_last = Sighting(away, 0.0, 0.0, 0.0, -1.8)
+    seen_last = Sighting(away, 0.0, 0.0, 0.0, -1.8, -1.8 - above, -STEADY_S)
     down, v, ramp, t_s = -1.8 - above, 0.0, VelocityRamp((0.0,)), 0.0
     nearest, highest = math.inf, above
     while t_s < away / speed + 3.0:
@@ -154,11 +155,11 @@ def test_who_walks_unseen_is_kept_from_as_one_who_is_seen_to_walk(away, sight, u
     state = flying(unseen_s, down_m=-above)
     place = away * math.cos(sight), away * math.sin(sight)
     behind = Worst(sight, 100.0, above, toward)  # the estimate lets him go on
-    unseen = walking(behind, Sighting(*place, sight, 0.0, 0.0), state)
+    unseen = walking(behind, Sighting(*place, sight, 0.0, 0.0, 0.0, 0.0), state)
     seen_walk = Worst(sight, max(away - WALK_M_S * unseen_s, 0.0), above, max(WALK_M_S, toward))
     assert closing_speed(unseen, LIMITS) == pytest.approx(closing_speed(seen_walk, LIMITS))
     assert closing_speed(unseen, LIMITS) <= closing_speed(behind, LIMITS)
-    assert walking(GONE, Sighting(*place, sight, 0.0, 0.0), state) == GONE
+    assert walking(gone(None, state), Sighting(*place, sight, 0.0, 0.0, 0.0, 0.0), state) == gone(None, state)
 
 
 @pytest.mark.parametrize(("jump_m", "mode_s"), [(0.0, 2.0), (0.0, 8.0), (-5.0, 2.0)])
@@ -182,6 +183,43 @@ def test_a_low_vehicle_whose_target_is_lost_climbs_over_whoever_comes_and_no_fur
         assert 6.2 <= high_m <= 7.3
     else:
         assert 5.0 <= high_m <= 7.3
+
+
+@pytest.mark.parametrize(("shows_s", "hides_s"), [(0.1, 1.0), (0.4, 2.6), (0.6, 6.0), (2.0, 6.0)])
+def test_glimpses_of_something_level_with_the_vehicle_do_not_lead_it_up(shows_s, hides_s):
+    """A box that is fixed in the image, or a far thing: each time that it is lost its head seems to be right here."""
+    safety, t_s = engaged(down_m=-6.0)
+    down, seen_s, head_m, highest = -6.0, t_s, 6.0, 6.0
+    for i in range(1, round(60.0 / DT)):
+        now = t_s + i * DT
+        if (i * DT) % (shows_s + hides_s) < shows_s:
+            seen_s, head_m = now, -down
+        below_m = 2.0 - down - head_m
+        level = replace(seen(now), seen_t_s=seen_s, range_m=9.0, ground_below_m=below_m, ground_std_m=0.1)
+        state = flying(now, down_m=down, **obeyed(safety))
+        safety.allow(Setpoint(), level, state, now)
+        down += safety.gate.down.v[0] * DT
+        highest = max(highest, -down)
+    way_m = LIMITS.climb_m_s**2 / (2 * LIMITS.climb_accel_m_s2)
+    seen_m = LIMITS.climb_m_s * 60.0 / (shows_s + hides_s) * shows_s  # while it is seen the vehicle evades it
+    assert 8.0 < highest <= 6.0 + LIMITS.min_standoff_m + way_m + seen_m
+
+
+@pytest.mark.parametrize("limit", [{"ceiling_m": 5.0}, {"above_target_m": 2.0}])
+def test_the_climb_over_who_is_not_seen_ends_at_the_limits_and_is_told_so(limit):
+    """Also in SEARCH, where the target may be anywhere along the ground, but no deeper than it was."""
+    safety, t_s = engaged(down_m=-3.0)
+    safety.limits = replace(LIMITS, **limit)
+    down = -3.0
+    for i in range(1, round(9.0 / DT)):
+        now = t_s + i * DT
+        low = replace(seen(now), seen_t_s=t_s, range_m=9.0, ground_below_m=-down, ground_std_m=0.1)
+        decision = safety.allow(Setpoint(), low, flying(now, down_m=down, **obeyed(safety)), now)
+        down += safety.gate.down.v[0] * DT
+    assert decision.mode == "search"
+    assert -down <= 5.0 + 0.3  # a head at 2 m, less 0.2 m, and 2 m; the ramp's own lag
+    assert HELD["below"] not in decision.notes
+    assert HELD["altitude"] in decision.notes
 
 
 def test_a_vehicle_that_stops_does_not_climb_over_a_target_that_it_lost():
