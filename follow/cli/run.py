@@ -132,7 +132,7 @@ def check(command: RunCommand) -> None:
     if not command.link.startswith("mavsdk+"):
         parse_address(command.link)
     if is_live(command.camera):
-        check_device(parse_camera(command.camera))
+        parse_camera(command.camera)
     elif not command.camera.startswith(SCENE) and not Path(command.camera).exists():
         raise UsageError(
             f"camera {command.camera!r} is not a file or folder, a device (0, /dev/video0), "
@@ -145,6 +145,8 @@ def check(command: RunCommand) -> None:
         raise UsageError(f"there is no scene {name!r}; there are {', '.join(SCENARIOS)}")
     if name == command.camera or command.config.camera.down_deg is not None:  # else the angle depends on the autopilot
         height_line(command.config)
+    if is_live(command.camera):  # last, so that a command can be judged where its camera is not
+        check_device(parse_camera(command.camera))
 
 
 def check_device(camera: CameraName) -> None:
