@@ -84,6 +84,10 @@ second on not at all."""
 FASTER_M_S = 2.0
 """Just above the first the desired speed is this much above the present one, so that the lean changes smoothly."""
 
+LEAN_S = 0.5
+"""Time constant of the pitch that limits speeding up.  The pitch follows the desired speed half a second late, by the
+gate's ramp and the autopilot's response: fed back unfiltered, it swings once a second."""
+
 STEEPEST_RAD = math.radians(75.0)
 """Steeper lines of sight are clipped to this: the tangent of a vertical one is infinite."""
 
@@ -102,6 +106,7 @@ class Servo:
     approach: Pid = field(init=False)
     aside: Pid = field(init=False)  # top-down: as `approach`, to the right
     pitch_rad: float | None = None
+    lean_rad: float = 0.0  # the pitch, filtered by LEAN_S
     t_s: float = NEVER
     wanted: Wanted = AS_SET
     kept: KeptStandoff = NOT_KEPT
@@ -122,8 +127,9 @@ class Servo:
         dt = max(estimate.t_s - self.t_s, 0.0) if self.t_s > NEVER else 0.0
         self.t_s = estimate.t_s
         if self.pitch_rad is None:
-            self.pitch_rad = state.pitch_rad
+            self.pitch_rad = self.lean_rad = state.pitch_rad
         self.pitch_rad += (state.pitch_rad - self.pitch_rad) * dt / (self.config.pitch_filter_s + dt)
+        self.lean_rad += (state.pitch_rad - self.lean_rad) * dt / (LEAN_S + dt)
         if not state.in_control:
             for pid in (self.yaw, self.climb, self.approach, self.aside):
                 pid.reset()
@@ -185,7 +191,7 @@ class Servo:
         flown, _ = ned_to_heading(forward, right, estimate.azimuth_rad)
         with_target = c.feed_forward * along
         radial = self.approach.update(error, -estimate.range_m, dt, flown - with_target) + with_target
-        radial = self.in_view(radial, max(flown, 0.0), estimate, state)
+        radial = self.in_view(radial, max(flown, 0.0), estimate)
         if c.mode is ServoMode.ORBIT:
             return radial, c.orbit_m_s + c.feed_forward * across  # it goes around by itself
         if c.mode is ServoMode.PROFILE and math.hypot(along, across) > c.course_m_s:
@@ -195,11 +201,11 @@ class Servo:
             return radial, min(max(swing, -c.abeam_m_s), c.abeam_m_s) + c.feed_forward * across
         return radial, self.wanted.around_m_s
 
-    def in_view(self, radial: float, flown: float, estimate: Estimate, state: VehicleState) -> float:
+    def in_view(self, radial: float, flown: float, estimate: Estimate) -> float:
         """Return the speed along the line of sight, less where the lean of speeding up lifts the target out of view."""
         if self.config.top_rad is None or radial <= flown:
             return radial
-        above = (self.down_rad - state.pitch_rad - estimate.depression_rad) / self.config.top_rad
+        above = (self.down_rad - self.lean_rad - estimate.depression_rad) / self.config.top_rad
         room = min(max((EDGE - above) / (EDGE - NEAR_EDGE), 0.0), 1.0)
         return radial if room == 1.0 else min(radial, flown + room * FASTER_M_S)
 

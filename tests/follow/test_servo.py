@@ -1,6 +1,7 @@
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -10,6 +11,7 @@ from follow.geometry import ned_to_heading
 from follow.messages import NEVER, Autopilot, Estimate, Setpoint, VehicleState
 from follow.safety.limits import Limits
 from follow.selection import HOVER_HERE, Wanted
+from sim.measured import response_of
 from tests.support.ground_flight import LENS, GroundFlight
 
 DOWN = math.radians(30)
@@ -101,17 +103,16 @@ def test_a_retreat_is_not_kept_for_the_view(flown, pitch):
     assert servo.update(estimate(depression=0.0, range_m=30.0), state).forward_m_s >= -1e-9
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-@pytest.mark.parametrize("autopilot", list(Autopilot))
-def test_a_cyclist_taken_over_from_a_standstill_stays_in_the_image_and_is_caught_up_with(autopilot, seed):
-    """A cyclist already rides away at 8 m/s; the lean of speeding up lifted it out of the image."""
+def cyclist_rides_away(autopilot, seed, response=None):
+    """The flight of a vehicle that stands, after a cyclist who already rides away at 8 m/s."""
 
     def rides(t_s):
         return 12.0 + 8.0 * t_s, 0.0
 
-    flight = GroundFlight(
+    return GroundFlight(
         rides,
         autopilot=autopilot,
+        response=response,
         end_s=24.0,
         seed=seed,
         down_rad=0.3,
@@ -119,11 +120,32 @@ def test_a_cyclist_taken_over_from_a_standstill_stays_in_the_image_and_is_caught
         servo=ServoConfig(top_rad=math.atan(LENS.cy / LENS.fy)),
         limits=Limits(speed_m_s=12.0, fence_m=600.0, clear_distance=0.0, half_view_rad=LENS.horizontal_fov_rad / 2),
     ).fly()
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("autopilot", list(Autopilot))
+def test_a_cyclist_taken_over_from_a_standstill_stays_in_the_image_and_is_caught_up_with(autopilot, seed):
+    """The lean of speeding up lifted it out of the image."""
+    flight = cyclist_rides_away(autopilot, seed)
     found = [tick.track.found for tick in flight.ticks]
     assert sum(found) / len(found) > 0.97, "without the limit on speeding up it is 0.9"
     assert flight.ranges()[-1] < 20.0
     assert flight.ranges().max() < 50.0
     assert flight.heights().max() < 19.0
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_vehicle_with_twice_the_drag_speeds_up_without_swinging(seed):
+    """The pitch limits the speed that sets the pitch: fed back unfiltered, it swung by 3 degrees once a second."""
+    measured = response_of(Autopilot.PX4, seed)
+    level = measured.horizontal
+    draggy = replace(measured, horizontal=replace(level, drag_per_s=2.0 * level.drag_per_s))
+    flight = cyclist_rides_away(Autopilot.PX4, seed, draggy)
+    pitch = np.array([m.pitch_rad for m in flight.truths if m.t_s > 4.0])
+    second = np.ones(30) / 30
+    swing = pitch[15:-14] - np.convolve(pitch, second, "valid")
+    assert math.sqrt(2.0 * np.mean(swing**2)) < math.radians(1.5)
+    assert all(tick.track.found for tick in flight.ticks)
 
 
 def watched_for(seconds, **state):

@@ -22,6 +22,7 @@ from racf.box import Box
 from racf.track import Track
 from sim.dynamics import Vehicle, VehicleTruth
 from sim.link import SimLink
+from sim.measured import ResponseModel
 
 LENS = Intrinsics.from_fov(640, 360, math.radians(80.0))
 FRAME_S = 1 / 30
@@ -97,6 +98,7 @@ class GroundFlight:
     path: Path
     ground: Ground = flat
     autopilot: Autopilot = Autopilot.PX4
+    response: ResponseModel | None = None  # the vehicle's; None: as the autopilot was measured
     height_m: float = 8.0
     end_s: float = 60.0
     seed: int | None = 0  # None: boxes without errors
@@ -155,7 +157,8 @@ class GroundFlight:
 
     def fly(self) -> "GroundFlight":
         """The whole flight."""
-        self.link = SimLink(Vehicle(self.autopilot, VehicleTruth(down_m=-self.height_m), seed=self.seed or 0))
+        start = VehicleTruth(down_m=-self.height_m)
+        self.link = SimLink(Vehicle(self.autopilot, start, seed=self.seed or 0, response=self.response))
         heard = self.link.state
         self.link.state = lambda: self.state(heard())
         self.random = np.random.default_rng(self.seed)
