@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from racf import kernels
 from racf.box import Box
 from racf.confidence import Confidence, Verdict, ramp
-from racf.growth import Growth
+from racf.flow import Flow
+from racf.growth import growth
+from racf.halt import Halt
 from racf.motion import Velocity
 from racf.params import Params, preset
 from racf.redetect import Redetection
@@ -67,11 +69,10 @@ class Racf:
         self._confidence = Confidence(params, featureless=is_featureless(image, box))
         self._velocity = Velocity(params.velocity_rate, params.velocity_decay)
         self._redetection = Redetection(params)
-        self._growth = Growth()
+        self._flow, self._halt = Flow(), Halt()
         self._filter.learn(image, box)
         self._learn_scale(image)
-        if params.predict_scale:
-            self._growth.remember(image, box)
+        self._remember(image, None)
         most = self._confidence.most
         return Track(box, self._filter.region(box), psr=0.0, apce=0.0, confidence=most, found=most == 1.0)
 
@@ -82,8 +83,12 @@ class Racf:
         """
         image = checked_next(image, self._frame_shape, prior)
         params, clock, before = self.params, _Stopwatch(), self._box
+        jumped = self._confidence.lost_frames > 0
         expected = self._expected(prior)
-        grown = self._grown(image, expected)
+        if self._uses_flow(prior):
+            self._flow.look(image, expected.centre_x - before.centre_x, expected.centre_y - before.centre_y)
+        ground = self._ground(prior)
+        grown = self._grown(expected)
         clock.lap("predict")
         match = self._filter.locate(image, grown)
         clock.lap("localise")
@@ -94,11 +99,11 @@ class Racf:
             clock.lap("redetect")
             if verdict is not Verdict.LOST:
                 self._velocity.forget()  # the target jumped here; that is not a velocity
+                jumped = True
                 before = expected = grown = match.box
         if params.coast and verdict is Verdict.LOST:
-            self._box = self._kept_inside(expected)
-            self._velocity.unseen()
-            self._growth.forget()
+            self._coast(expected)
+            self._remember(image, prior)
             return self._track(grown, match, None, verdict, clock)
         self._box = self._kept_inside(self._weighed(grown, match, verdict))
         trusted = verdict is Verdict.CLEAR or not params.gate_learning
@@ -113,9 +118,12 @@ class Racf:
             self._learn_scale(image)
             clock.lap("learn scale")
         self._velocity.seen(before, self._box)
-        if params.predict_scale:
-            self._growth.remember(image, self._box)
-            clock.lap("remember")
+        if jumped:
+            self._halt.found()
+        else:
+            self._halt.seen(before, self._box, ground, self._confidence.ratio(match.psr, match.value))
+        self._remember(image, prior)
+        clock.lap("remember")
         return self._track(grown, match, refinement, verdict, clock)
 
     def _track(
@@ -146,12 +154,40 @@ class Racf:
             return self._box
         return self._box.moved(self._velocity.dx, self._velocity.dy)
 
-    def _grown(self, image: UInt8, expected: Box) -> Box:
+    def _uses_flow(self, prior: Box | None) -> bool:
+        return self.params.predict_scale or (self.params.coast and prior is None)
+
+    def _remember(self, image: UInt8, prior: Box | None) -> None:
+        """Keep the box and what surrounds it for the flow to the next image, if that will be asked for."""
+        if self._uses_flow(prior):
+            self._flow.remember(image, self._box)
+        else:
+            self._flow.forget()
+
+    def _ground(self, prior: Box | None) -> tuple[float, float] | None:
+        """How far the ground around the box moved.  Who has a prior knows better where a lost target is."""
+        if prior is not None or not self.params.coast:
+            self._halt.forget()
+            return None
+        ground = self._flow.ground()
+        self._halt.goes_on(ground, math.sqrt(self._box.area))
+        return ground
+
+    def _coast(self, expected: Box) -> None:
+        """A lost target's box: where it is expected, or where it would be if it had not halted."""
+        self._box = self._kept_inside(self._halt.moved(expected))
+        step = self._halt.step()
+        if step is None:
+            self._velocity.unseen()
+        else:
+            self._velocity.dx, self._velocity.dy = step
+        self._halt.unseen()
+
+    def _grown(self, expected: Box) -> Box:
         """The expected box with the size that the flow of the target's pixels predicts."""
-        if not self.params.predict_scale:
+        if not self.params.predict_scale or self._confidence.lost_frames:
             return expected
-        dx, dy = expected.centre_x - self._box.centre_x, expected.centre_y - self._box.centre_y
-        return expected.scaled(self._growth.factor(image, dx, dy))
+        return expected.scaled(growth(self._flow))
 
     def _weighed(self, expected: Box, match: Match, verdict: Verdict) -> Box:
         """The measured box; in a doubtful frame moved towards the predicted one, the more the less it is believed."""

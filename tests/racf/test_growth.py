@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from racf import Box, Racf, preset
-from racf.growth import LEAST_SIDE_PX, Growth, _log_growth
+from racf.flow import Flow
+from racf.growth import LEAST_SIDE_PX, _log_growth, growth
 
 ROWS, COLS = 300, 420
 TEXTURE_PX = 240
@@ -35,9 +36,10 @@ def image(x: float, y: float, side: float, *, turned_deg: float = 0.0, seed: int
 
 
 def told(first: np.ndarray, box: Box, second: np.ndarray, dx: float = 0.0, dy: float = 0.0) -> float:
-    growth = Growth()
-    growth.remember(first, box)
-    return growth.factor(second, dx, dy)
+    flow = Flow()
+    flow.remember(first, box)
+    flow.look(second, dx, dy)
+    return growth(flow)
 
 
 @pytest.mark.parametrize("side", [40, 90, 200])
@@ -87,11 +89,15 @@ def test_points_that_go_their_own_ways_tell_nothing():
 def test_nothing_is_told_of_a_small_target_or_of_one_that_was_not_seen():
     side = LEAST_SIDE_PX - 1
     assert told(image(160, 140, side), Box.around(160, 140, side, side), image(160, 140, side * 1.05)) == 1.0
-    growth = Growth()
-    assert growth.factor(GROUND, 0, 0) == 1.0
-    growth.remember(image(160, 140, 60), Box.around(160, 140, 60, 60))
-    growth.forget()
-    assert growth.factor(image(160, 140, 63), 0, 0) == 1.0
+    flow = Flow()
+    assert growth(flow) == 1.0
+    flow.look(GROUND, 0, 0)
+    assert growth(flow) == 1.0
+    flow.remember(image(160, 140, 60), Box.around(160, 140, 60, 60))
+    assert growth(flow) == 1.0
+    flow.forget()
+    flow.look(image(160, 140, 63), 0, 0)
+    assert growth(flow) == 1.0
 
 
 def test_no_more_than_a_tenth_a_frame_is_believed():
@@ -124,7 +130,7 @@ def test_a_turn_alone_is_no_growth():
     )
 
 
-class Followed(Growth):
+class Followed(Flow):
     """Of 36 points in the box `agreeing` grow by 1.05, and `alike` of `around` ones; the others go their own ways.
 
     The flow of the first `surely` leads back best.
@@ -137,7 +143,7 @@ class Followed(Growth):
         self.of = {True: (points, agreeing), False: (around, alike)}
         self.surely = points if surely is None else surely
 
-    def _flow(self, places, patch, moved, shape):
+    def _flow(self, places):
         count, growing = self.of[float(np.abs(places).max()) < 0.5]
         random = np.random.default_rng(5)
         before = random.uniform(0, 60, (count, 2)).astype(np.float32)
@@ -148,7 +154,8 @@ class Followed(Growth):
 
     def told(self) -> float:
         self.remember(GROUND, Box.around(160, 140, 56, 56))
-        return self.factor(GROUND, 0, 0)
+        self.look(GROUND, 0, 0)
+        return growth(self)
 
 
 @pytest.mark.parametrize(
@@ -233,7 +240,6 @@ def test_a_lost_target_keeps_its_size():
         track = tracker.update(cv2.warpAffine(GROUND, nearer, (COLS, ROWS)))
         assert not track.found
         assert track.box.w == pytest.approx(before.box.w)
-    assert tracker._growth.factor(shown[-1][0], 0, 0) == 1.0  # what was seen before the loss says nothing now
 
 
 def turning(seed: int, frames: int = 200) -> Iterator[tuple[np.ndarray, Box]]:

@@ -1,0 +1,115 @@
+"""A target that was moving over the ground and halts as its confidence falls: it may go on, hidden.
+
+A lamp, a tree or a bridge comes over the target and takes the box over: it stands on the ground from then on, and the
+smoothed motion forgets that the target was moving.  When it counts as lost some frames later, the place where it is
+expected is where the box stood.  So the motion over the ground is kept from before it halted: a target that is lost
+after that is expected where it would be if it had gone on, over a ground that moves as it is seen to move.  What truly
+halted is seen and not lost.  Numbers are measured: docs/notebook.md, "A target that halts".
+"""
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from racf.box import Box
+
+Float64 = NDArray[np.float64]
+
+NOW, BEFORE = 8, 20  # frames for which it stands, and for which it moved before them
+LEAST_KNOWN = 0.8  # share of the frames before in which its motion must be known
+LEAST_MOTION = 0.02  # sides of the target a frame: what moves less does not move
+STEADY = 0.5  # least share of the mean motion in either half of the frames before
+STANDS = 0.35  # largest share of it that what halted still has along it; in any direction twice that
+DOUBTED = 0.9  # the confidence must have fallen below it
+MOVES = 0.7  # of the motion before: it moves again, and nothing hid it
+LONGEST = 60  # frames: then the place is too old
+
+
+@dataclass(frozen=True, slots=True)
+class _Frame:
+    """Motion over the ground in sides of the target, None if it is not known, and the confidence."""
+
+    motion: tuple[float, float] | None
+    confidence: float
+
+
+class Halt:
+    """Keeps the target's motion over the ground, and where a target that halted in doubt would be now."""
+
+    def __init__(self) -> None:
+        self._frames: deque[_Frame] = deque(maxlen=BEFORE + NOW)
+        self._motion: Float64 | None = None  # from before it halted; None: it did not
+        self._at, self._step, self._age = np.zeros(2), np.zeros(2), 0
+
+    def forget(self) -> None:
+        """Nothing is known of its motion."""
+        self._frames.clear()
+        self._motion = None
+
+    def goes_on(self, ground: tuple[float, float] | None, side: float) -> None:
+        """One frame further: the ground moved by `ground` px (None: unknown), the target is `side` px large."""
+        if self._motion is None:
+            return
+        self._age += 1
+        self._step = np.asarray(ground or (0.0, 0.0)) + self._motion * side
+        self._at = self._at + self._step
+        if self._age > LONGEST:
+            self._motion = None
+
+    def moved(self, box: Box) -> Box:
+        """The box where the target is if it went on; the same box if it did not halt."""
+        return box if self._motion is None else Box.around(float(self._at[0]), float(self._at[1]), box.w, box.h)
+
+    def step(self) -> tuple[float, float] | None:
+        """How far it went in the last frame if it went on, in px; None if it did not halt."""
+        return None if self._motion is None else (float(self._step[0]), float(self._step[1]))
+
+    def seen(self, before: Box, after: Box, ground: tuple[float, float] | None, confidence: float) -> None:
+        """The target went from one box to the other while the ground moved by `ground` px (None: unknown)."""
+        motion = None
+        if ground is not None:
+            side = math.sqrt(before.area)
+            dx, dy = after.centre_x - before.centre_x, after.centre_y - before.centre_y
+            motion = (dx - ground[0]) / side, (dy - ground[1]) / side
+        self._frames.append(_Frame(motion, confidence))
+        if self._motion is None:
+            self._look_for_a_halt(after)
+        elif self._age > NOW and confidence > DOUBTED:
+            now = _mean(list(self._frames)[-NOW:])
+            if np.hypot(*now) > MOVES * np.hypot(*self._motion):
+                self._motion = None
+
+    def unseen(self) -> None:
+        """The target was not found."""
+        self._frames.append(_Frame(None, 0.0))
+
+    def found(self) -> None:
+        """A lost target is found again: where it went is known."""
+        self._motion = None
+        self._frames.append(_Frame(None, 1.0))
+
+    def _look_for_a_halt(self, box: Box) -> None:
+        frames = list(self._frames)
+        earlier, latest = frames[:-NOW], frames[-NOW:]
+        if len(earlier) < BEFORE or any(frame.motion is None for frame in latest):
+            return
+        if sum(frame.motion is not None for frame in earlier) < LEAST_KNOWN * BEFORE:
+            return
+        before, now = _mean(earlier), _mean(latest)
+        size = float(np.hypot(*before))
+        halves = _mean(earlier[: BEFORE // 2]), _mean(earlier[BEFORE // 2 :])
+        if size < LEAST_MOTION or min(float(half @ before) for half in halves) < STEADY * size**2:
+            return
+        lately = _mean(latest[NOW // 2 :])  # or a turn would be a halt while it is in the mean
+        stands = all(of @ before < STANDS * size**2 and np.hypot(*of) < 2 * STANDS * size for of in (now, lately))
+        if stands and min(frame.confidence for frame in frames[-NOW - 3 :]) < DOUBTED:
+            self._motion, self._age = before, 0
+            self._at = np.array([box.centre_x, box.centre_y]) + (before - now) * NOW * math.sqrt(box.area)
+
+
+def _mean(frames: list[_Frame]) -> Float64:
+    """The mean motion, in which what is not known counts as none."""
+    return np.mean([frame.motion or (0.0, 0.0) for frame in frames], axis=0)

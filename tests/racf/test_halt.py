@@ -1,0 +1,166 @@
+"""A target that halts in doubt: when it must be taken to go on, where, and when not."""
+
+import cv2
+import numpy as np
+import pytest
+
+from racf import Box, Racf
+from racf.flow import Flow
+from racf.halt import LONGEST, NOW, Halt
+
+SIDE = 40.0
+
+
+def halted(
+    speed: tuple[float, float] = (2.0, -1.0),
+    then: tuple[float, float] = (0.0, 0.0),
+    pan: tuple[float, float] | None = (3.0, 0.5),
+    confidence: float = 0.7,
+    frames: int = 30,
+) -> tuple[Halt, Box]:
+    """A target that moved by `speed` px a frame over ground that moves by `pan`, and by `then` for the last frames."""
+    halt, box = Halt(), Box.around(100, 100, SIDE, SIDE)
+    for k in range(frames + NOW):
+        moving, (dx, dy) = k < frames, pan or (0.0, 0.0)
+        over = speed if moving else then
+        after = box.moved(over[0] + dx, over[1] + dy)
+        halt.goes_on(pan, SIDE)
+        halt.seen(box, after, pan, 1.0 if moving else confidence)
+        box = after
+    return halt, box
+
+
+def test_it_goes_on_over_the_ground_as_before_it_halted():
+    halt, box = halted()
+    ahead = halt.moved(box)
+    assert (ahead.centre_x - box.centre_x, ahead.centre_y - box.centre_y) == pytest.approx((NOW * 2.0, -NOW * 1.0))
+    for _ in range(10):
+        halt.goes_on((-4.0, 1.0), SIDE)
+        halt.unseen()
+    further = halt.moved(box)
+    assert (further.centre_x - ahead.centre_x, further.centre_y - ahead.centre_y) == pytest.approx((-20.0, 0.0))
+    assert halt.step() == pytest.approx((-2.0, 0.0))
+    assert (further.w, further.h) == (box.w, box.h)
+
+
+def test_it_goes_on_at_the_size_that_it_has():
+    halt, box = halted()
+    before = halt.moved(box)
+    halt.goes_on(None, 2 * SIDE)  # the camera came nearer; the ground is not known and counts as standing
+    assert halt.moved(box).centre_x - before.centre_x == pytest.approx(4.0)
+
+
+@pytest.mark.parametrize(
+    "how",
+    [
+        {"confidence": 0.95},  # who stands still is seen as well as before
+        {"then": (1.5, -0.75)},  # it became slower
+        {"then": (0.0, 2.0)},  # it turned off
+        {"speed": (0.5, 0.3)},  # it stood all the time
+        {"pan": None},  # nobody knows how the ground moved
+        {"frames": 15},  # nor, for long enough, how it moved itself
+    ],
+)
+def test_what_did_not_halt_in_doubt_is_where_it_is_seen(how):
+    halt, box = halted(**how)
+    assert halt.moved(box) == box
+    assert halt.step() is None
+
+
+def test_a_target_that_moved_to_and_fro_did_not_move():
+    halt, box = Halt(), Box.around(100, 100, SIDE, SIDE)
+    for k in range(30):
+        after = box.moved(3.0 if k // 10 % 2 else -3.0, 0.0) if k < 30 - NOW else box
+        halt.seen(box, after, (0.0, 0.0), 0.7)
+        box = after
+    assert halt.step() is None
+
+
+@pytest.mark.parametrize("forgets", ["found again", "moves on", "too long ago", "told to"])
+def test_the_motion_is_forgotten_when(forgets):
+    halt, box = halted()
+    if forgets == "found again":
+        halt.found()
+    elif forgets == "told to":
+        halt.forget()
+    elif forgets == "moves on":
+        for _ in range(2 * NOW):
+            halt.goes_on((0.0, 0.0), SIDE)
+            after = box.moved(2.0, -1.0)
+            halt.seen(box, after, (0.0, 0.0), 1.0)
+            box = after
+    else:
+        for _ in range(LONGEST + 1):
+            halt.goes_on((0.0, 0.0), SIDE)
+            halt.unseen()
+    assert halt.step() is None
+    assert halt.moved(box) == box
+
+
+GROUND = cv2.GaussianBlur(np.random.default_rng(7).integers(0, 256, (300, 900, 3), dtype=np.uint8), (0, 0), 3)
+
+
+@pytest.mark.parametrize("pan", [0, 2, -3])
+@pytest.mark.parametrize("w", [12, 30, 90])
+def test_the_flow_around_a_target_is_the_grounds(pan, w):
+    flow, wide = Flow(), cv2.normalize(GROUND, None, 40, 210, cv2.NORM_MINMAX)
+    first, second = wide[:, 300:700].copy(), wide[:, 300 - pan : 700 - pan].copy()
+    target = cv2.normalize(GROUND[:w, :w], None, 0, 255, cv2.NORM_MINMAX)
+    first[100 : 100 + w, 150 : 150 + w] = second[103 : 103 + w, 152 : 152 + w] = target
+    assert flow.ground() is None
+    flow.remember(first, Box(150, 100, w, w))
+    assert flow.ground() is None
+    flow.look(second, 2, 3)
+    assert flow.ground() == pytest.approx((pan, 0), abs=0.15)
+
+
+def test_ground_without_features_or_with_more_than_one_motion_is_unknown():
+    flow, random = Flow(), np.random.default_rng(3)
+    grey = np.full((200, 200), 90, np.uint8)
+    flow.remember(grey, Box(80, 80, 40, 40))
+    flow.look(random.integers(0, 256, (200, 200), dtype=np.uint8), 0, 0)
+    assert flow.ground() is None
+
+
+def hidden_by_what_looks_like_it(pan_px: float) -> list[tuple[np.ndarray, Box]]:
+    """A target goes 2 px a frame over ground that moves; from frame 40 a faded copy stands in for it, from 54 nothing.
+
+    The box is where the target is in truth.
+    """
+    side, shown = 40, []
+    random = np.random.default_rng(8)
+    target = cv2.resize(random.integers(0, 256, (6, 6, 3), dtype=np.uint8), (side, side), interpolation=cv2.INTER_CUBIC)
+    for k in range(90):
+        image, at = cv2.normalize(GROUND, None, 40, 210, cv2.NORM_MINMAX), 300 + 2 * k
+        if k < 54:
+            stands, share = min(at, 380), 1.0 if k < 40 else 0.25
+            place = image[120 : 120 + side, stands : stands + side]
+            place[:] = share * target + (1 - share) * place
+        left = 200 - round(pan_px * k)
+        shown.append((image[:, left : left + 420].copy(), Box(at - left, 120, side, side)))
+    return shown
+
+
+@pytest.mark.parametrize("pan_px", [0.0, -1.5, 1.5])
+def test_a_target_lost_after_it_halted_in_doubt_is_expected_where_it_went_on(pan_px):
+    shown, tracker = hidden_by_what_looks_like_it(pan_px), Racf("racf-,robust")
+    tracker.init(*shown[0])
+    tracks = [tracker.update(image) for image, _ in shown[1:]]
+    assert all(track.found for track in tracks[:50])
+    lost = [(track.box, box) for track, (_, box) in zip(tracks, shown[1:], strict=True) if not track.found]
+    assert len(lost) > 20
+    for box, truth in lost[1:]:
+        assert abs(box.centre_x - truth.centre_x) < 0.5 * box.w
+        assert abs(box.centre_y - truth.centre_y) < 0.2 * box.h
+
+
+def test_a_caller_that_expects_the_target_somewhere_is_believed():
+    shown, tracker = hidden_by_what_looks_like_it(0.0), Racf("racf-,robust")
+    tracker.init(*shown[0])
+    expected = Box.around(380, 140, 40, 40)
+    for image, _ in shown[1:60]:
+        tracker.update(image)
+    for image, _ in shown[60:]:
+        track = tracker.update(image, expected)
+        assert not track.found
+        assert (track.box.centre_x, track.box.centre_y) == pytest.approx((380, 140))
