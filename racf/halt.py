@@ -3,8 +3,9 @@
 A lamp, a tree or a bridge comes over the target and takes the box over: it stands on the ground from then on, and the
 smoothed motion forgets that the target was moving.  When it counts as lost some frames later, the place where it is
 expected is where the box stood.  So the motion over the ground is kept from before it halted: a target that is lost
-after that is expected where it would be if it had gone on, over a ground that moves as it is seen to move.  What truly
-halted is seen and not lost.  Numbers are measured: docs/notebook.md, "A target that halts".
+after that is expected where it would be if it had gone on, over a ground that moves as it is seen to move.  It may also
+have halted in truth, and then something came before it: a match where it stood is as good as one where it is expected.
+Numbers are measured: docs/notebook.md, "A target that halts".
 """
 
 import math
@@ -23,9 +24,10 @@ LEAST_KNOWN = 0.8  # share of the frames before in which its motion must be know
 LEAST_MOTION = 0.02  # sides of the target a frame: what moves less does not move
 STEADY = 0.5  # least share of the mean motion in either half of the frames before
 STANDS = 0.35  # largest share of it that what halted still has along it; in any direction twice that
-DOUBTED = 0.9  # the confidence must have fallen below it
+DOUBTED = 0.9  # the confidence must have fallen below it, since it stands or just before
+JUST_BEFORE = 3  # frames
 MOVES = 0.7  # of the motion before: it moves again, and nothing hid it
-LONGEST = 60  # frames: then the place is too old
+LONGEST = 60  # frames for which it may stand before it is lost, and for which it may go on unseen
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +44,8 @@ class Halt:
     def __init__(self) -> None:
         self._frames: deque[_Frame] = deque(maxlen=BEFORE + NOW)
         self._motion: Float64 | None = None  # from before it halted; None: it did not
-        self._at, self._step, self._age = np.zeros(2), np.zeros(2), 0
+        self._at, self._stood, self._step, self._ground = np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(2)
+        self._age, self._is_seen = 0, True
 
     def forget(self) -> None:
         """Nothing is known of its motion."""
@@ -50,18 +53,24 @@ class Halt:
         self._motion = None
 
     def goes_on(self, ground: tuple[float, float] | None, side: float) -> None:
-        """One frame further: the ground moved by `ground` px (None: unknown), the target is `side` px large."""
+        """One frame further: the ground moved by `ground` px (None: as before), the target is `side` px large."""
+        if ground is not None:
+            self._ground = np.asarray(ground)
         if self._motion is None:
             return
         self._age += 1
-        self._step = np.asarray(ground or (0.0, 0.0)) + self._motion * side
-        self._at = self._at + self._step
+        self._step = self._ground + self._motion * side
+        self._at, self._stood = self._at + self._step, self._stood + self._ground
         if self._age > LONGEST:
             self._motion = None
 
     def moved(self, box: Box) -> Box:
         """The box where the target is if it went on; the same box if it did not halt."""
-        return box if self._motion is None else Box.around(float(self._at[0]), float(self._at[1]), box.w, box.h)
+        return box if self._motion is None else _around(self._at, box)
+
+    def places(self, expected: Box) -> tuple[Box, ...]:
+        """Where a lost target is expected: there, and if it halted also where it stood, for perhaps it stands there."""
+        return (expected,) if self._motion is None else (expected, _around(self._stood, expected))
 
     def step(self) -> tuple[float, float] | None:
         """How far it went in the last frame if it went on, in px; None if it did not halt."""
@@ -75,21 +84,24 @@ class Halt:
             dx, dy = after.centre_x - before.centre_x, after.centre_y - before.centre_y
             motion = (dx - ground[0]) / side, (dy - ground[1]) / side
         self._frames.append(_Frame(motion, confidence))
+        self._is_seen, self._stood = True, np.array([after.centre_x, after.centre_y])
         if self._motion is None:
             self._look_for_a_halt(after)
-        elif self._age > NOW and confidence > DOUBTED:
-            now = _mean(list(self._frames)[-NOW:])
-            if np.hypot(*now) > MOVES * np.hypot(*self._motion):
+        elif self._age > NOW:
+            latest = list(self._frames)[-NOW:]
+            if confidence > DOUBTED and np.hypot(*_mean(latest)) > MOVES * np.hypot(*self._motion):
                 self._motion = None
 
     def unseen(self) -> None:
         """The target was not found."""
+        if self._is_seen:
+            self._is_seen, self._age = False, 0
         self._frames.append(_Frame(None, 0.0))
 
-    def found(self) -> None:
-        """A lost target is found again: where it went is known."""
-        self._motion = None
-        self._frames.append(_Frame(None, 1.0))
+    def found(self, confidence: float) -> None:
+        """A lost target is found again: where it went is known, how it moved is not."""
+        self._motion, self._is_seen = None, True
+        self._frames.append(_Frame(None, confidence))
 
     def _look_for_a_halt(self, box: Box) -> None:
         frames = list(self._frames)
@@ -105,9 +117,13 @@ class Halt:
             return
         lately = _mean(latest[NOW // 2 :])  # or a turn would be a halt while it is in the mean
         stands = all(of @ before < STANDS * size**2 and np.hypot(*of) < 2 * STANDS * size for of in (now, lately))
-        if stands and min(frame.confidence for frame in frames[-NOW - 3 :]) < DOUBTED:
+        if stands and min(frame.confidence for frame in frames[-NOW - JUST_BEFORE :]) < DOUBTED:
             self._motion, self._age = before, 0
             self._at = np.array([box.centre_x, box.centre_y]) + (before - now) * NOW * math.sqrt(box.area)
+
+
+def _around(centre: Float64, box: Box) -> Box:
+    return Box.around(float(centre[0]), float(centre[1]), box.w, box.h)
 
 
 def _mean(frames: list[_Frame]) -> Float64:

@@ -56,14 +56,17 @@ class Redetection:
         self._rivals: list[Rival] = []
 
     def search(
-        self, image: UInt8, expected: Box, here: Match, translation: TranslationFilter, confidence: Confidence
+        self, image: UInt8, places: tuple[Box, ...], here: Match, translation: TranslationFilter, confidence: Confidence
     ) -> tuple[Match, Verdict]:
-        """The match that is the target, or `here`, the match at the expected place, if there is none yet."""
+        """The match that is the target, or `here`, the match at the first of the expected places, if there is none yet.
+
+        The search is around the first one, the others are looked at also; a match near any of them is the target.
+        """
         if confidence.lost_frames <= 1:
             self._next, self._rivals = 0, []
         known, self._rivals = self._rivals, []
-        for match, before in self._matches(image, expected, here, known, translation, confidence):
-            if self.near(match.box, expected):
+        for match, before in self._matches(image, places, here, known, translation, confidence):
+            if self.near(match.box, *places):
                 confidence.lost_frames = 0
                 return match, Verdict.CLEAR
             if not any(self.near(match.box, other.match.box) for other in self._rivals):
@@ -79,13 +82,16 @@ class Redetection:
         heard = (rival for rival in self._rivals if rival.frames >= min(LEAST_FRAMES, agree))
         return max(heard, key=Rival.mean).match, Verdict.CLEAR
 
-    def near(self, box: Box, expected: Box) -> bool:
-        """Whether a match is so near the expected place that it needs no comparison."""
-        apart = math.hypot(box.centre_x - expected.centre_x, box.centre_y - expected.centre_y)
-        return apart <= self.params.redetect_near * math.sqrt(expected.area)
+    def near(self, box: Box, *places: Box) -> bool:
+        """Whether a match is so near an expected place that it needs no comparison."""
+        return any(
+            math.hypot(box.centre_x - place.centre_x, box.centre_y - place.centre_y)
+            <= self.params.redetect_near * math.sqrt(place.area)
+            for place in places
+        )
 
     def _matches(
-        self, image: UInt8, expected: Box, here: Match, known: list[Rival],
+        self, image: UInt8, expected: tuple[Box, ...], here: Match, known: list[Rival],
         translation: TranslationFilter, confidence: Confidence,
     ) -> Iterator[tuple[Match, Rival | None]]:  # fmt: skip
         """The trusted matches of this frame, each with the rival that it continues."""
@@ -94,7 +100,7 @@ class Redetection:
             # It is given up as a target that was found is lost.
             if self._trusted(match, confidence, self.params.lost_below) and self.near(match.box, rival.match.box):
                 yield match, rival
-        places = self._turn(image, expected, confidence)
+        places = chain(expected[1:], self._turn(image, expected[0], confidence))
         for first in chain([here], (translation.locate(image, place) for place in places)):
             # A second look, centred: the cosine window no longer dims the match, its surroundings are whole.
             if confidence.ratio(first.psr, first.value) >= self.params.redetect_glance:

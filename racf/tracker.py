@@ -83,23 +83,24 @@ class Racf:
         """
         image = checked_next(image, self._frame_shape, prior)
         params, clock, before = self.params, _Stopwatch(), self._box
-        jumped = self._confidence.lost_frames > 0
+        was_lost = self._confidence.lost_frames > 0
         expected = self._expected(prior)
         if self._uses_flow(prior):
             self._flow.look(image, expected.centre_x - before.centre_x, expected.centre_y - before.centre_y)
-        ground = self._ground(prior)
+        ground = self._ground_moved(prior)
         grown = self._grown(expected)
         clock.lap("predict")
         match = self._filter.locate(image, grown)
         clock.lap("localise")
-        near = not params.redetect or self._redetection.near(match.box, expected)
+        places = self._halt.places(expected)
+        near = not params.redetect or self._redetection.near(match.box, *places)
         verdict = self._confidence.judge(match.psr, match.value, near)
         if params.redetect and verdict is Verdict.LOST:
-            match, verdict = self._redetection.search(image, expected, match, self._filter, self._confidence)
+            match, verdict = self._redetection.search(image, places, match, self._filter, self._confidence)
             clock.lap("redetect")
             if verdict is not Verdict.LOST:
                 self._velocity.forget()  # the target jumped here; that is not a velocity
-                jumped = True
+                was_lost = True
                 before = expected = grown = match.box
         if params.coast and verdict is Verdict.LOST:
             self._coast(expected)
@@ -118,10 +119,11 @@ class Racf:
             self._learn_scale(image)
             clock.lap("learn scale")
         self._velocity.seen(before, self._box)
-        if jumped:
-            self._halt.found()
+        confidence = self._confidence.ratio(match.psr, match.value)
+        if was_lost:
+            self._halt.found(confidence)
         else:
-            self._halt.seen(before, self._box, ground, self._confidence.ratio(match.psr, match.value))
+            self._halt.seen(before, self._box, ground, confidence)
         self._remember(image, prior)
         clock.lap("remember")
         return self._track(grown, match, refinement, verdict, clock)
@@ -164,8 +166,8 @@ class Racf:
         else:
             self._flow.forget()
 
-    def _ground(self, prior: Box | None) -> tuple[float, float] | None:
-        """How far the ground around the box moved.  Who has a prior knows better where a lost target is."""
+    def _ground_moved(self, prior: Box | None) -> tuple[float, float] | None:
+        """How far the ground around the box moved; one frame further for what halted.  Who has a prior knows better."""
         if prior is not None or not self.params.coast:
             self._halt.forget()
             return None
@@ -180,14 +182,15 @@ class Racf:
         if step is None:
             self._velocity.unseen()
         else:
-            self._velocity.dx, self._velocity.dy = step
+            self._velocity.seen(self._box, self._box.moved(*step))
         self._halt.unseen()
 
     def _grown(self, expected: Box) -> Box:
         """The expected box with the size that the flow of the target's pixels predicts."""
-        if not self.params.predict_scale or self._confidence.lost_frames:
+        if not self.params.predict_scale:
             return expected
-        return expected.scaled(growth(self._flow))
+        coasts = self.params.coast and self._confidence.lost_frames > 0
+        return expected.scaled(1.0 if coasts else growth(self._flow))
 
     def _weighed(self, expected: Box, match: Match, verdict: Verdict) -> Box:
         """The measured box; in a doubtful frame moved towards the predicted one, the more the less it is believed."""

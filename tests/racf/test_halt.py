@@ -46,8 +46,8 @@ def test_it_goes_on_over_the_ground_as_before_it_halted():
 def test_it_goes_on_at_the_size_that_it_has():
     halt, box = halted()
     before = halt.moved(box)
-    halt.goes_on(None, 2 * SIDE)  # the camera came nearer; the ground is not known and counts as standing
-    assert halt.moved(box).centre_x - before.centre_x == pytest.approx(4.0)
+    halt.goes_on(None, 2 * SIDE)  # the camera came nearer; the ground is not seen and counts as moving as before
+    assert halt.moved(box).centre_x - before.centre_x == pytest.approx(4.0 + 3.0)
 
 
 @pytest.mark.parametrize(
@@ -80,7 +80,7 @@ def test_a_target_that_moved_to_and_fro_did_not_move():
 def test_the_motion_is_forgotten_when(forgets):
     halt, box = halted()
     if forgets == "found again":
-        halt.found()
+        halt.found(0.8)
     elif forgets == "told to":
         halt.forget()
     elif forgets == "moves on":
@@ -90,11 +90,29 @@ def test_the_motion_is_forgotten_when(forgets):
             halt.seen(box, after, (0.0, 0.0), 1.0)
             box = after
     else:
-        for _ in range(LONGEST + 1):
+        for _ in range(LONGEST + 2):
+            assert halt.step() is not None
             halt.goes_on((0.0, 0.0), SIDE)
             halt.unseen()
     assert halt.step() is None
     assert halt.moved(box) == box
+
+
+def test_it_may_have_halted_in_truth_and_is_expected_where_it_stood_also():
+    halt, box = halted()
+    for _ in range(LONGEST - 5):  # it stands, seen in doubt
+        halt.goes_on((1.0, 0.0), SIDE)
+        after = box.moved(1.0, 0.0)
+        halt.seen(box, after, (1.0, 0.0), 0.8)
+        box = after
+    for _ in range(20):
+        halt.goes_on((1.0, 0.0), SIDE)
+        halt.unseen()
+    expected, stood = halt.places(halt.moved(box))
+    assert expected == halt.moved(box)
+    assert (stood.centre_x, stood.centre_y) == pytest.approx((box.centre_x + 20.0, box.centre_y))
+    halt.found(1.0)
+    assert halt.places(expected) == (expected,)
 
 
 GROUND = cv2.GaussianBlur(np.random.default_rng(7).integers(0, 256, (300, 900, 3), dtype=np.uint8), (0, 0), 3)
@@ -119,6 +137,13 @@ def test_ground_without_features_or_with_more_than_one_motion_is_unknown():
     grey = np.full((200, 200), 90, np.uint8)
     flow.remember(grey, Box(80, 80, 40, 40))
     flow.look(random.integers(0, 256, (200, 200), dtype=np.uint8), 0, 0)
+    assert flow.ground() is None
+    wide = cv2.normalize(GROUND, None, 40, 210, cv2.NORM_MINMAX)
+    first, second = wide[:200, 300:500].copy(), wide[:200, 300:500].copy()
+    second[:100], second[100:] = wide[:100, 302:502], wide[100:200, 298:498]  # parted in the middle
+    flow.remember(first, Box(80, 80, 40, 40))
+    flow.look(second, 0, 0)
+    assert len(flow.around()[0]) >= 20
     assert flow.ground() is None
 
 
@@ -164,3 +189,25 @@ def test_a_caller_that_expects_the_target_somewhere_is_believed():
         track = tracker.update(image, expected)
         assert not track.found
         assert (track.box.centre_x, track.box.centre_y) == pytest.approx((380, 140))
+
+
+@pytest.mark.parametrize("hidden", [8, 25])
+def test_a_target_that_halted_in_truth_is_found_where_it_stands_as_soon_as_it_is_seen(hidden):
+    """A shadow falls on it as it halts, then something passes in front of it."""
+    side, random = 40, np.random.default_rng(8)
+    target = cv2.resize(random.integers(0, 256, (6, 6, 3), dtype=np.uint8), (side, side), interpolation=cv2.INTER_CUBIC)
+    passer = cv2.resize(random.integers(0, 256, (5, 5, 3), dtype=np.uint8), (70, 90), interpolation=cv2.INTER_CUBIC)
+    tracker, seen = Racf("racf-,robust"), []
+    for k in range(60 + hidden + 12):
+        image, at = cv2.normalize(GROUND, None, 40, 210, cv2.NORM_MINMAX), 300 + 3 * min(k, 40)
+        place = image[120 : 120 + side, at : at + side]
+        shade = 0.25 if 40 <= k < 52 else 1.0
+        place[:] = shade * target + (1 - shade) * place
+        if 60 <= k < 60 + hidden:
+            image[95:185, at - 15 : at + 55] = passer
+        shown = image[:, 200:620].copy()
+        seen.append(tracker.init(shown, Box(at - 200, 120, side, side)) if k == 0 else tracker.update(shown))
+    assert tracker._halt.step() is None
+    assert not any(track.found for track in seen[62 : 60 + hidden])
+    assert all(track.found for track in seen[60 + hidden + 3 :])
+    assert abs(seen[-1].box.centre_x - (300 + 120 + 20 - 200)) < 3
