@@ -108,16 +108,7 @@ class Racf:
             return self._track(grown, match, None, verdict, clock)
         self._box = self._kept_inside(self._weighed(grown, match, verdict))
         trusted = verdict is Verdict.CLEAR or not params.gate_learning
-        if trusted:
-            self._estimate_scale(image)
-        clock.lap("scale")
-        refinement = self._refine(image) if trusted else None
-        clock.lap("refine")
-        if trusted:
-            self._filter.learn(image, self._box, self._belief(match))
-            clock.lap("learn filter")
-            self._learn_scale(image)
-            clock.lap("learn scale")
+        refinement = self._learn(image, match, clock) if trusted else None
         self._velocity.seen(before, self._box)
         confidence = self._confidence.ratio(match.psr, match.value)
         if was_lost:
@@ -127,6 +118,18 @@ class Racf:
         self._remember(image, prior)
         clock.lap("remember")
         return self._track(grown, match, refinement, verdict, clock)
+
+    def _learn(self, image: UInt8, match: Match, clock: "_Stopwatch") -> Refinement | None:
+        """Scale and refine the box of a trusted match, then learn there; the refinement, if it was tried."""
+        self._estimate_scale(image)
+        clock.lap("scale")
+        refinement = self._refine(image)
+        clock.lap("refine")
+        self._filter.learn(image, self._box, self._belief(match))
+        clock.lap("learn filter")
+        self._learn_scale(image)
+        clock.lap("learn scale")
+        return refinement
 
     def _track(
         self, looked_at: Box, match: Match, refinement: Refinement | None, verdict: Verdict, clock: "_Stopwatch"
