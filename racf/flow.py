@@ -26,8 +26,10 @@ WINDOW, SMALL_WINDOW = (13, 13), (9, 9)  # the small one in patches below SMALL_
 SMALL_PX = 60
 BACK_PX = 1.0  # furthest from where a point was, by the flow there and back
 LEAST_POINTS = 8  # of either kind, or they say nothing
-CLEAR_PX = 1.0  # between the box and what the window around a point of the ground sees
-MOST_SPREAD, LEAST_SPREAD_PX = 0.03, 0.5  # of the target's side: most median distance from one motion of the ground
+CLEAR_PX = 1.0  # of the patch, between the box and the window around a point of the ground
+# The ground moves as one if half of its points differ from their median by at most this share of the target's side,
+# or this many pixels of the patch, whichever is more.
+MOST_SPREAD, MOST_SPREAD_PX = 0.03, 0.5
 
 _NOTHING = np.zeros((0, 2), np.float32)
 _SEARCH = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)
@@ -86,7 +88,7 @@ class Flow:
         moves = after - before
         middle = np.median(moves, axis=0)
         spread = float(np.median(np.linalg.norm(moves - middle, axis=1)))
-        if spread > max(MOST_SPREAD * math.sqrt(self.box.area) * self.zoom, LEAST_SPREAD_PX):
+        if spread > max(MOST_SPREAD * math.sqrt(self.box.area) * self.zoom, MOST_SPREAD_PX):
             return None
         dx, dy = (middle / self.zoom + self._moved).tolist()
         return dx, dy

@@ -67,6 +67,26 @@ def test_what_did_not_halt_in_doubt_is_where_it_is_seen(how):
     assert halt.step() is None
 
 
+@pytest.mark.parametrize(("unknown", "halts"), [({4, 9, 14, 19}, True), ({0, 4, 9, 14, 19}, False)])
+def test_its_motion_must_have_been_known_in_four_fifths_of_the_frames_before(unknown, halts):
+    halt, box = Halt(), Box.around(100, 100, SIDE, SIDE)
+    for k in range(20 + NOW):
+        after = box.moved(2.0, 0.0) if k < 20 else box
+        halt.seen(box, after, None if k in unknown else (0.0, 0.0), 1.0 if k < 20 else 0.7)
+        box = after
+    assert (halt.step() is not None) == halts
+
+
+def test_what_moves_on_in_doubt_may_still_be_what_hides_it():
+    halt, box = halted()
+    for _ in range(2 * NOW):
+        halt.goes_on((0.0, 0.0), SIDE)
+        after = box.moved(2.0, -1.0)
+        halt.seen(box, after, (0.0, 0.0), 0.8)
+        box = after
+    assert halt.step() is not None
+
+
 def test_a_target_that_moved_to_and_fro_did_not_move():
     halt, box = Halt(), Box.around(100, 100, SIDE, SIDE)
     for k in range(30):
