@@ -150,7 +150,7 @@ class StreamCapture:
             why = f"nothing came for {SILENT_S:g} s"
         except CameraError as error:
             why = str(error)
-        except (av.error.FFmpegError, OSError) as error:
+        except Exception as error:  # noqa: BLE001  # whatever it is, `images` must not wait for ever
             why = getattr(error, "strerror", None) or str(error)
         self._packets.waiting.put(why)
 

@@ -3,6 +3,7 @@
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from types import TracebackType
 
 import numpy as np
@@ -71,9 +72,10 @@ class LiveVideo:
                     self._take(image, taken_t_s)
                     if self._closing.is_set():
                         break
-            except CameraError as error:
+            except Exception as error:  # noqa: BLE001  # whatever a driver or a decoder raises, this thread goes on
+                why = str(error) if isinstance(error, CameraError) else f"{type(error).__name__}: {error}"
                 self._tell(
-                    f"camera {self._name.text!r} gives no frame ({error}): trying again every {REOPEN_AFTER_S:g} s"
+                    f"camera {self._name.text!r} gives no frame ({why}): trying again every {REOPEN_AFTER_S:g} s"
                 )
                 self._give_back()
                 self._closing.wait(REOPEN_AFTER_S)
@@ -103,9 +105,10 @@ class LiveVideo:
         self._troubled = True
 
     def _give_back(self) -> None:
-        if self._capture is not None:
-            self._capture.close()
-        self._capture = None
+        capture, self._capture = self._capture, None
+        if capture is not None:
+            with suppress(Exception):  # what broke may not close either
+                capture.close()
 
     def close(self) -> None:
         """Stop reading; a reader stuck in its driver is left behind."""

@@ -44,15 +44,15 @@ def watched(camera: LiveVideo, enough: Callable[[], bool], seconds: float = 20.0
 
 
 class Scripted:
-    """A capture that plays what a test says: (image, time) or a CameraError."""
+    """A capture that plays what a test says: (image, time) or an error."""
 
-    def __init__(self, *steps: tuple[np.ndarray, float | None] | CameraError) -> None:
+    def __init__(self, *steps: tuple[np.ndarray, float | None] | Exception) -> None:
         self.size = (160, 120)
         self.steps, self.closed = steps, False
 
     def images(self) -> Iterator[tuple[np.ndarray, float | None]]:
         for step in self.steps:
-            if isinstance(step, CameraError):
+            if isinstance(step, Exception):
                 raise step
             yield step
             time.sleep(0.002)
@@ -102,6 +102,17 @@ def test_a_source_that_breaks_is_reported_once_with_its_reason_and_opened_again(
     ]
     assert all(b.t_s > a.t_s and b.index > a.index for a, b in itertools.pairwise(frames))
     assert first.closed
+
+
+@pytest.mark.parametrize("error", [ValueError("no such conversion"), OSError(1, "not permitted"), MemoryError("1 GB")])
+def test_a_source_that_breaks_in_any_other_way_is_reported_and_opened_again(scripted, error):
+    lines: list[str] = []
+    scripted(Scripted((image(1), 1.0), error), Scripted(*((image(n), float(n)) for n in range(3, 200))))
+    with LiveVideo("rtsp://x/y", lines.append) as camera:
+        watched(camera, lambda: len(lines) >= 2)
+    assert type(error).__name__ in lines[0]
+    assert str(error) in lines[0]
+    assert lines[1] == "camera 'rtsp://x/y' gives frames again"
 
 
 def test_a_source_that_stays_away_is_one_line_and_rounds_go_on(scripted):
