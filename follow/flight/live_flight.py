@@ -23,6 +23,7 @@ from follow.loop import BoxTracker, Controller, ImageMeter, ObjectDetector, Setp
 from follow.messages import (
     HOVER,
     NO_INSTRUCTION,
+    PILOTS_STICK,
     Cause,
     Estimate,
     Instruction,
@@ -60,9 +61,10 @@ def taking_and_giving(ticks: Iterable[Tick], link: FlyingLink) -> Iterator[Tick]
     for tick in ticks:
         mode = tick.decision.mode
         released = tick.decision.setpoint is None and tick.decision.release is Release.STICKS
+        again = tick.instruction.reason.cause in PILOTS_STICK  # the first request may have been lost on its way
         if mode is Mode.ENGAGE is not before:
             link.take_control()
-        elif released and not was_released:
+        elif released and (again or not was_released):
             link.hold(for_sticks=True)
         before, was_released = mode, released
         yield tick

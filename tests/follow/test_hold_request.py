@@ -3,8 +3,21 @@
 import pytest
 from pymavlink.dialects.v20 import common as dialect
 
+from follow.flight.live_flight import taking_and_giving
 from follow.link.flight_modes import MODES_OF
-from follow.messages import HOVER, Autopilot
+from follow.messages import (
+    HOVER,
+    NO_INSTRUCTION,
+    Autopilot,
+    Cause,
+    Decision,
+    Estimate,
+    Instruction,
+    Mode,
+    Reason,
+    Release,
+    Tick,
+)
 from sim.autopilot.core import Result
 from tests.support.autopilot_pair import Pair
 
@@ -257,3 +270,28 @@ def test_px4_that_goes_back_to_offboard_by_itself_when_control_is_ordered_again_
     pair.setpoint = None
     pair.run(2.0)
     assert (modes, pair.state.mode) == (["HOLD"], "HOLD")
+
+
+def test_a_stick_that_moves_again_asks_again_for_the_mode_in_which_it_acts():
+    """The first requests were lost on their way: the vehicle hovers in GUIDED, where no stick acts."""
+    pair = Pair(Autopilot.ARDUPILOT).fly()
+    reason = Reason(Cause.STICK, "roll")
+    ended = Decision(None, Mode.ENDED, reason=reason, release=Release.STICKS)
+    moved, rests = Instruction(reason=reason), NO_INSTRUCTION
+
+    def rounds(instructions):
+        for instruction in instructions:
+            state = pair.state
+            yield Tick(
+                None, None, state, Estimate(state.t_s, 0.0, 0.4, 12.0, 1.0), HOVER, ended, instruction=instruction
+            )
+            pair.setpoint = None
+            pair.run(0.1)
+
+    heard, pair.to_autopilot = pair.to_autopilot, lambda packets: []
+    ticks = taking_and_giving(rounds([moved, *[rests] * 79, moved, *[rests] * 20]), pair.client)
+    for i, _ in enumerate(ticks):
+        if i == 60:
+            assert pair.system.flight.mode == "GUIDED"
+            pair.to_autopilot = heard
+    assert pair.system.flight.mode == MODES_OF[Autopilot.ARDUPILOT].sticks
