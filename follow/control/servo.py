@@ -215,7 +215,7 @@ class Servo:
         A vehicle that cannot descend to a target far below keeps it in view from farther away.
         """
         c = self.config
-        height = estimate.range_m * math.tan(min(estimate.depression_rad, STEEPEST_RAD))
+        height = over_target_m(estimate)
         steepest = math.tan(min(max(self.middle_rad() + c.band_rad, c.band_rad), STEEPEST_RAD))
         desired = min(max(c.standoff_m, height / steepest), FARTHEST * c.standoff_m)
         error = estimate.range_m - desired
@@ -245,7 +245,7 @@ class Servo:
         """
         c = self.config
         axis = min(max(self.axis_rad(), 0.0), STEEPEST_RAD)
-        height = estimate.range_m * math.tan(min(estimate.depression_rad, STEEPEST_RAD))
+        height = over_target_m(estimate)
         stays = c.mode is ServoMode.SPOTLIGHT  # it cannot come nearer, so it keeps the target in the middle row
         beyond = 0.0 if stays else min(max(estimate.range_m / c.standoff_m - 1.0, 0.0), 1.0)
         leaning = min(max(axis, self.down_rad), self.down_rad + c.band_rad)
@@ -268,14 +268,15 @@ class Servo:
         along, _ = sight_components(estimate, state.yaw_rad)
         opening = along - ned_to_heading(forward, right, estimate.azimuth_rad)[0]
         soon_m = max(estimate.range_m + min(opening, 0.0) * c.evade_s, 0.0)
-        middle_m = estimate.range_m * math.tan(min(estimate.depression_rad, STEEPEST_RAD))
-        head_m = middle_m - (estimate.target_height_m / 2 if math.isfinite(estimate.target_height_m) else 1.0)
+        head_m = over_target_m(estimate) - (
+            estimate.target_height_m / 2 if math.isfinite(estimate.target_height_m) else 1.0
+        )
         return math.hypot(soon_m, max(head_m, 0.0)) < c.evade_fraction * c.standoff_m
 
     def above(self, estimate: Estimate, state: VehicleState, dt: float) -> Setpoint:
         """Return the velocity that puts the target on the optical axis, keeping heading and height."""
         c = self.config
-        height = estimate.range_m * math.tan(min(estimate.depression_rad, math.pi / 2 - 1e-3))
+        height = over_target_m(estimate)
         ahead = height / math.tan(max(self.axis_rad(), 0.2))
         ahead_m, right_m = heading_to_ned(estimate.range_m, 0.0, estimate.azimuth_rad)
         ahead_m -= ahead
@@ -286,6 +287,11 @@ class Servo:
             self.approach.update(ahead_m, -ahead_m, dt, forward - with_forward) + with_forward,
             self.aside.update(right_m, -right_m, dt, right - with_right) + with_right,
         )
+
+
+def over_target_m(estimate: Estimate) -> float:
+    """Return how far the target's middle is below the vehicle, m, also of one right below."""
+    return estimate.range_m * math.tan(min(estimate.depression_rad, math.pi / 2 - 1e-3))
 
 
 def positions_rate(estimate: Estimate, state: VehicleState) -> VehicleState:

@@ -364,3 +364,12 @@ def test_at_the_stand_off_that_it_says_it_keeps_the_servo_asks_for_no_approach(r
     settled = Servo(DOWN)
     at = estimate(depression=there, range_m=kept.standoff_m, range_near_m=kept.standoff_m - gap_m)
     assert settled.range_error(at) == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("mode", [ServoMode.CHASE, ServoMode.SPOTLIGHT, ServoMode.ORBIT])
+@pytest.mark.parametrize("height_m", [8.0, 12.0, 30.0])
+def test_high_above_a_target_right_below_it_does_not_climb_away_from_it(mode, height_m):
+    """Its height is known there too: one that is far below is not near."""
+    below = estimate(depression=math.atan2(height_m, 0.3), range_m=0.3, target_height_m=1.8)
+    servo = Servo(math.radians(60), ServoConfig(mode=mode, standoff_m=6.0))
+    assert servo.update(below, STATE).down_m_s > -0.5
