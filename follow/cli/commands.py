@@ -62,7 +62,7 @@ class ReplayCommand:
     fps: float | None = None
     """Frame rate, 1/s. Default: what the video says; for a folder what its name says, else 30."""
     tracker: str = TRACKER
-    """Tracker: racf, racf-, racf-- (the fastest), bacf, arcf-hc; OpenCV's csrt, kcf, mil, nano, vit; or your own
+    """Tracker: racf, racf-, racf--, bacf, arcf-hc, with ,robust to follow; OpenCV's csrt, kcf, mil, nano, vit; your own
     module:Class. Settings follow after commas: `racf` alone is the paper's, the default of the program racf."""
     autopilot: Autopilot = Autopilot.PX4
     """Autopilot whose rules the pretended vehicle obeys."""
@@ -100,7 +100,7 @@ class SimCommand:
     list: bool = False
     """Print the names of the scenarios and end."""
     tracker: str = TRACKER
-    """Tracker: racf, racf-, racf-- (the fastest), bacf, arcf-hc; OpenCV's csrt, kcf, mil, nano, vit; or your own
+    """Tracker: racf, racf-, racf--, bacf, arcf-hc, with ,robust to follow; OpenCV's csrt, kcf, mil, nano, vit; your own
     module:Class. Settings follow after commas: `racf` alone is the paper's, the default of the program racf."""
     detector: Path | None = None
     """ONNX file of a detector, as for `follow run`; what it finds comes 0.3 s of the flight's time later, or with
@@ -209,7 +209,7 @@ class RunCommand:
     seed: int = 0
     """Seed of a drawn scene, 0 or more."""
     tracker: str = TRACKER
-    """Tracker: racf, racf-, racf-- (the fastest), bacf, arcf-hc; OpenCV's csrt, kcf, mil, nano, vit; or your own
+    """Tracker: racf, racf-, racf--, bacf, arcf-hc, with ,robust to follow; OpenCV's csrt, kcf, mil, nano, vit; your own
     module:Class. Settings follow after commas: `racf` alone is the paper's, the default of the program racf."""
     view: str | None = None
     """Show the flight in Rerun while it flies: here (also without a word), web for a browser, or

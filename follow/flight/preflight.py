@@ -77,9 +77,9 @@ def check_tracker(update: Callable[[NDArray[np.uint8]], object], frames: Sequenc
     period_ms = 1e3 / fps
     text = f"{usual:.1f} ms per frame, 99 % within {worst:.1f} ms, of {period_ms:.1f} ms"
     if usual > period_ms:
-        return Finding("tracker", Health.RED, text, "a smaller image, a lower frame rate, or --tracker racf--")
+        return Finding("tracker", Health.RED, text, "a smaller image, or a lower frame rate")
     if worst > TRACKER_FRACTION * period_ms:
-        return Finding("tracker", Health.WARN, f"{text}: little headroom", "a lower frame rate, or --tracker racf--")
+        return Finding("tracker", Health.WARN, f"{text}: little headroom", "a smaller image, or a lower frame rate")
     return Finding("tracker", Health.OK, text)
 
 

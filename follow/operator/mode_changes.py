@@ -20,6 +20,7 @@ class ModeChanges:
     reason: Reason | None = None
     began_t_s: float = NEVER
     streamed: bool = False  # whether FOLLOW has begun
+    refused: Reason | None = None  # why the last order was refused or void
     ended: str = ""  # when the last stream of setpoints ended, and why; empty while one is sent, or before the first
     tiny_told: bool = False
     hindered_t_s: dict[str, float] = field(default_factory=dict[str, float])  # when each hindrance was told
@@ -32,6 +33,8 @@ class ModeChanges:
         if self.began_t_s == NEVER:
             self.began_t_s = tick.state.t_s
         at_s = tick.state.t_s - self.began_t_s
+        if self.reason.cause in (Cause.ORDER_REFUSED, Cause.ORDER_VOID):
+            self.refused = self.reason
         if not self.tiny_told and tick.track is not None and tick.track.found and (line := tiny_line(tick.track.box)):
             self.tiny_told = True
             self.report(f"{at_s:.1f} s: {line}")
@@ -55,4 +58,6 @@ class ModeChanges:
         """Why no setpoints are sent in the last round, as one line; empty while they are."""
         if self.mode in STREAMING or self.began_t_s == NEVER:
             return ""
-        return f"following ended early, at {self.ended}" if self.streamed else f"FOLLOW never began: {self.reason}"
+        if self.streamed:
+            return f"following ended early, at {self.ended}"
+        return f"FOLLOW never began: {self.refused or self.reason}"
