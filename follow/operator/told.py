@@ -80,7 +80,7 @@ class PilotTexts:
             self.shown = text
             self.say(text, warns=decision.mode in WARNINGS)
         for note in decision.notes:
-            if note.startswith("slower:") and decision.mode is Mode.FOLLOW and self.is_news(note, t_s):
+            if note.startswith(("slower:", "slow:")) and decision.mode is Mode.FOLLOW and self.is_news(note, t_s):
                 self.say(note.replace("limits.", ""))
             if note.startswith("not taken:") and self.is_news(text := note.split(" (")[0], t_s):
                 self.say(text, warns=True)

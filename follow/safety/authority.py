@@ -192,7 +192,7 @@ def events(now: Authority, facts: Facts, granted: bool, limits: Limits) -> list[
         recent = 0.0 <= t_s - now.clear_t_s <= limits.stale_grace_s
         if not (recent and all(finding.passing for finding in findings)):
             found.append((Event.STAYED_HINDERED, Reason(Cause.ORDER_VOID, findings[0].what)))
-    elif granted or t_s - (now.clear_since_s or t_s) >= limits.ready_after_s:
+    elif granted or (now.clear_since_s is not None and t_s - now.clear_since_s >= limits.ready_after_s):
         found.append((Event.CLEARED, Reason(Cause.READY)))
     if granted and now.order is not None:
         found.append((Event.ORDER_FOLLOW, Reason(Cause.FOLLOW_ORDERED, now.order.by)))

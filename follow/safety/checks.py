@@ -54,12 +54,15 @@ def aged(name: str, age_s: float, limit_s: float) -> str:
 
 
 def unseen(estimate: Estimate, t_s: float, limits: Limits) -> float:
-    """Seconds since the target was last seen, less the camera's own delay; inf for an estimate that is not finite."""
+    """Seconds since the target was last seen, less the camera's own delay.
+
+    inf for an estimate that is not finite, and for a sighting in the future.
+    """
     numbers = (estimate.azimuth_rad, estimate.depression_rad, estimate.range_m, estimate.range_std_m)
     if not all(abs(v) <= PLAUSIBLE for v in (*numbers, estimate.north_m_s, estimate.east_m_s)):
         return math.inf
-    age_s = t_s - estimate.seen_t_s - (limits.latency_s or 0.0)
-    return age_s if math.isfinite(age_s) else math.inf
+    since_s, delay_s = t_s - estimate.seen_t_s, limits.latency_s or 0.0
+    return since_s - delay_s if math.isfinite(since_s) and since_s >= -limits.frame_age_s else math.inf
 
 
 def must_stop(state: VehicleState, had_remote: bool) -> Reason | None:

@@ -66,13 +66,15 @@ def limit_to_fence(north: float, east: float, out: tuple[float, float], limits: 
 def limit_altitude(down: float, target: Worst, state: VehicleState, limits: Limits) -> float:
     """Limit the downward speed to stay inside the altitude band, and the climb above the target.
 
-    What the vehicle drifts towards a border is taken off, up to `DRIFT_M_S`.
+    What the vehicle drifts towards a border is taken off, up to `DRIFT_M_S`.  A height below the floor and one above
+    the ceiling contradict each other, as when a rangefinder sticks: then it neither climbs nor descends.
     """
     drift = min(max(target.drift_down_m_s, -DRIFT_M_S), DRIFT_M_S)
     fastest_down = border_speed(least_height_m(state) - limits.floor_m, limits.climb_accel_m_s2) - max(drift, 0.0)
     fastest_up = border_speed(limits.ceiling_m - greatest_height_m(state), limits.climb_accel_m_s2) + min(drift, 0.0)
     over_target = approach_speed(max(limits.above_target_m - target.above_m, 0.0), limits.climb_accel_m_s2)
-    return min(max(down, -min(fastest_up, over_target)), fastest_down)
+    least_down = -min(fastest_up, over_target)
+    return min(max(down, least_down), max(fastest_down, min(least_down, 0.0)))
 
 
 HELD = {

@@ -50,7 +50,7 @@ class Gate:
     """The gate's memory between rounds.  Velocities are NED; places are north and east, None until they are known.
 
     The fence is centred on home or, if that is unknown, where the first stream began.  `aimed_t_s` is when a person
-    chose the target last.
+    chose the target last, `gap_s` the mean time between rounds.
     """
 
     authority: Authority = field(default_factory=Authority)
@@ -64,6 +64,7 @@ class Gate:
     aimed_t_s: float = NEVER
     response: Response = field(default_factory=Response)
     reach: TargetReach = field(default_factory=TargetReach)
+    gap_s: float = 0.0
 
     @property
     def mode(self) -> Mode:
@@ -75,7 +76,16 @@ FOLLOWING = (Mode.FOLLOW, Mode.COAST, Mode.SEARCH)
 """The modes in which the vehicle goes after its target, or looks for it."""
 
 STEP_S = 0.1
-"""Maximum time step of the ramps: a longer gap between rounds counts as this."""
+"""Maximum time step of the ramps: a longer gap between rounds is several."""
+
+GAP_S = 0.5
+"""A longer gap between rounds counts as this: by then the link has paused the stream."""
+
+PACE_S = 2.0
+"""Time over which the gap between rounds is averaged: one long round is no slow program."""
+
+SLOW_S = 0.25
+"""A longer mean gap is noted: what happens between two rounds is neither seen nor braked for."""
 
 UNSEEN_S = 0.15
 """A target not seen for this long, two frames of a slow camera, may be behind a wall where it was last seen."""
@@ -146,7 +156,8 @@ def decide(
     `contradiction` is what an external check found to contradict the estimate; it brakes like stale data.
     """
     t_s = state.t_s if math.isfinite(state.t_s) else gate.t_s
-    dt = clamped(max(t_s - gate.t_s, 0.0), STEP_S) if gate.t_s > NEVER else 0.0
+    dt = clamped(max(t_s - gate.t_s, 0.0), GAP_S) if gate.t_s > NEVER else 0.0
+    gate = replace(gate, gap_s=gate.gap_s + (dt - gate.gap_s) * (1.0 - math.exp(-dt / PACE_S)))
     old = stale(state, frame_t_s, limits)
     old = (*old, *(text for text in (estimate.contradiction, contradiction) if text))
     unseen_s = unseen(estimate, state.t_s, limits)
@@ -162,6 +173,7 @@ def decide(
         authority = replace(authority, mode=Mode.ENDED, reason=Reason(Cause.NO_HEADING), order=None)
     notes = (*old, estimate.doubt) if estimate.doubt else old
     notes = notes if desired.is_finite() else (*notes, "the desired setpoint is not finite")
+    notes = notes if gate.gap_s <= SLOW_S else (*notes, f"slow: fewer than {1 / SLOW_S:g} rounds a second")
     if authority.mode in STREAMING and gate.mode not in STREAMING:
         gate, dt = start_ramps(gate, target, state, limits), 0.0
     elif authority.mode is not gate.mode and authority.reason.cause is Cause.NOT_OBEYING and is_fresh:
@@ -244,6 +256,8 @@ def permitted(
     limits: Limits,
 ) -> tuple[tuple[float, float, float], float, tuple[str, ...]]:
     """The NED velocity and yaw rate that mode and limits permit on fresh data, and notes."""
+    if gate.mode is Mode.BRAKE:  # it ends when the vehicle stands: no border may move it meanwhile
+        return (0.0, 0.0, 0.0), 0.0, ()
     if gate.mode is Mode.ENGAGE:
         # The measured velocity jitters: it is approached within the ramps' acceleration, never copied.
         return present_velocity(target, state, limits), clamped(state.yaw_rate_rad_s, limits.yaw_rate_rad_s), ()
@@ -256,14 +270,18 @@ def permitted(
 
 
 def ramped(gate: Gate, velocity: tuple[float, float, float], yaw_rate: float, dt_s: float, limits: Limits) -> Gate:
-    """The gate one time step closer to a NED velocity and a yaw rate, within acceleration and jerk."""
+    """The gate `dt_s` closer to a NED velocity and a yaw rate, within acceleration and jerk."""
     n, e, down = velocity
-    return replace(
-        gate,
-        horizontal=gate.horizontal.towards((n, e), dt_s, limits.speed_m_s, limits.accel_m_s2, limits.jerk_m_s3),
-        down=gate.down.towards((down,), dt_s, limits.climb_m_s, limits.climb_accel_m_s2, limits.jerk_m_s3),
-        yaw=gate.yaw.towards(yaw_rate, dt_s, limits.yaw_rate_rad_s, limits.yaw_accel_rad_s2),
-    )
+    steps = max(math.ceil(dt_s / STEP_S), 1)
+    for _ in range(steps):
+        step_s = dt_s / steps
+        gate = replace(
+            gate,
+            horizontal=gate.horizontal.towards((n, e), step_s, limits.speed_m_s, limits.accel_m_s2, limits.jerk_m_s3),
+            down=gate.down.towards((down,), step_s, limits.climb_m_s, limits.climb_accel_m_s2, limits.jerk_m_s3),
+            yaw=gate.yaw.towards(yaw_rate, step_s, limits.yaw_rate_rad_s, limits.yaw_accel_rad_s2),
+        )
+    return gate
 
 
 def body_setpoint(gate: Gate, yaw_rad: float) -> Setpoint:

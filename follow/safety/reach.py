@@ -4,7 +4,7 @@ A target that outruns the vehicle, or stands beyond the fence, is followed at a 
 and given up after `out_of_reach_s`.  Pure functions.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from follow.geometry import ned_to_heading
 from follow.messages import Setpoint, VehicleState
@@ -27,13 +27,15 @@ TOLD = "its limits keep the vehicle from it"
 class TargetReach:
     """Since when a limit keeps the vehicle from its target (None: none does), and whether that is told.
 
-    The range is compared with `mark_m`, which it was at `mark_s`.
+    The range is compared with `mark_m`, which it was at `mark_s`.  What is told holds until the range falls, or until
+    no limit acts for as long; `free_s` is since when none does.
     """
 
     since_s: float | None = None
     mark_s: float = 0.0
     mark_m: float = 0.0
     told: str = ""
+    free_s: float | None = None
 
 
 def watched_reach(
@@ -49,9 +51,12 @@ def watched_reach(
     left = ned_to_heading(*permitted, target.sight_rad)[0]
     flown = ned_to_heading(state.north_m_s, state.east_m_s, target.sight_rad)[0]
     if not (desired.is_finite() and wanted - max(left, 0.0) > CUT_M_S and flown > left - LAG_M_S):
-        return TargetReach()
+        free_s = state.t_s if now.free_s is None else now.free_s
+        is_free = state.t_s - free_s >= limits.reach_after_s or target.range_m < now.mark_m - FALLEN_M
+        return replace(now, free_s=free_s) if now.told and not is_free else TargetReach()
     if now.since_s is None:
         return TargetReach(state.t_s, state.t_s, target.range_m)
+    now = replace(now, free_s=None)
     if state.t_s - now.mark_s < limits.reach_after_s:
         return now
     told = TOLD if target.range_m > now.mark_m - FALLEN_M else ""

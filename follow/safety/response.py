@@ -15,6 +15,11 @@ LEVEL_M_S, CLIMB_M_S = 1.5, 1.0
 FRACTION = 0.4
 """Further difference as a fraction of the expected speed: saturation, and a target that accelerates all the time."""
 
+WALK_M_S, STANDS = 1.0, 0.3
+"""A vehicle that should fly at a walk or faster and has less than this fraction of the speed does not obey.
+
+By the differences above one that stands would obey up to 2.5 m/s: nothing of what is sent reaches it."""
+
 
 @dataclass(frozen=True, slots=True)
 class Response:
@@ -30,7 +35,9 @@ def watched(now: Response, sent: tuple[float, float, float], state: VehicleState
     north, east, down = (e + part * (s - e) for e, s in zip(now.expected, sent, strict=True))
     level = math.hypot(state.north_m_s - north, state.east_m_s - east)
     climb = abs(state.down_m_s - down)
-    obeys = level <= LEVEL_M_S + FRACTION * math.hypot(north, east) and climb <= CLIMB_M_S + FRACTION * abs(down)
+    speed, flown = math.hypot(north, east), math.hypot(state.north_m_s, state.east_m_s)
+    stands = speed >= WALK_M_S and flown < STANDS * speed
+    obeys = not stands and level <= LEVEL_M_S + FRACTION * speed and climb <= CLIMB_M_S + FRACTION * abs(down)
     since_s = None if obeys else state.t_s if now.since_s is None else now.since_s
     return Response((north, east, down), since_s)
 

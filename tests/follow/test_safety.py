@@ -26,7 +26,7 @@ def test_no_desired_setpoint_passes_a_limit_whatever_comes(rounds):
         state = flying(t_s, yaw_rad=yaw if number == number else 0.3, north_m=number, east_m_s=yaw)
         safety.allow(desired, seen(t_s), state, t_s)
         before, gate = gate, safety.gate
-        check(before, gate, min(max(dt, 0.0), 0.1))
+        check(before, gate, min(max(dt, 0.0), 0.5))
 
 
 def check(before, gate, dt):
