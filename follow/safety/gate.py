@@ -90,8 +90,10 @@ SLOW_S = 0.25
 UNSEEN_S = 0.15
 """A target not seen for this long, two frames of a slow camera, may be behind a wall where it was last seen."""
 
-STILL_M_S = 0.05
-"""A vehicle in BRAKE counts as stopped when the speed last sent is below this."""
+STILL_M_S, STANDS_M_S = 0.05, 0.15
+"""A vehicle in BRAKE counts as stopped when the speed last sent, and that of a vehicle which obeys, are below these.
+
+An autopilot that is given a vehicle which still moves flies it back, or on, to a place of its own."""
 
 
 def speed(gate: Gate) -> float:
@@ -213,7 +215,8 @@ def facts(
     beyond, over = gate.reach.told, given_up(gate.reach, state, limits)
     # A target that was just chosen is looked for as long as one that was lost.
     waited_s = unseen_s if math.isfinite(unseen_s) else state.t_s - gate.aimed_t_s
-    return Facts(state, old, waited_s, found, stopping, beyond, over, speed(gate) < STILL_M_S, instruction)
+    stands = speed(gate) < STILL_M_S and math.hypot(*gate.response.expected) < STANDS_M_S
+    return Facts(state, old, waited_s, found, stopping, beyond, over, stands, instruction)
 
 
 def too_near(estimate: Estimate, limits: Limits) -> str:
@@ -239,11 +242,12 @@ def remembered(
         gate = replace(gate, last_seen=sighted(before, target, estimate.seen_t_s, state, limits))
     if is_fresh and state.home_t_s > NEVER:
         gate = replace(gate, fence_centre=(state.home_north_m, state.home_east_m))
-    if gate.mode not in FLYING or not is_fresh:
+    if gate.mode not in FLYING:
         present = state.north_m_s, state.east_m_s, state.down_m_s
         return replace(gate, response=Response(present if is_fresh else gate.response.expected))
     north, east = gate.horizontal.v
-    return replace(gate, response=watched(gate.response, (north, east, gate.down.v[0]), state, dt_s))
+    response = watched(gate.response, (north, east, gate.down.v[0]), state, dt_s)
+    return replace(gate, response=response if is_fresh else Response(response.expected))
 
 
 def permitted(

@@ -10,6 +10,7 @@ from follow.safety.distance import UNKNOWN, Worst
 from follow.safety.envelope import limit_altitude
 from follow.safety.gate import Safety
 from follow.safety.reach import TargetReach, given_up, watched_reach
+from follow.safety.response import LAG_S
 from tests.support.gate_rig import DT, LIMITS, engaged, fly, flying, obeyed, seen
 
 FAR = 200.0
@@ -168,3 +169,25 @@ def test_a_target_is_in_reach_again_when_no_limit_keeps_the_vehicle_from_it_for_
     told, _, _ = out_of_reach(lambda i: 2.0 if i * DT < 20.0 else 0.0, 40.0)
     assert told[round(20.0 / DT) - 1]
     assert not told[-1]
+
+
+@pytest.mark.parametrize("speed_m_s", [1.4, 8.0])
+def test_the_stream_ends_when_the_vehicle_stands_and_not_while_it_lags_behind(speed_m_s):
+    """Given back earlier, the autopilot would fly it on, or back, to a place of its own."""
+    safety, t_s = engaged()
+    flown = sent = 0.0
+    safety.order(Order.FOLLOW)
+    for i in range(round(40.0 / DT)):
+        t_s += DT
+        flown += (safety.gate.horizontal.v[0] - flown) * (1.0 - math.exp(-DT / LAG_S))
+        if i == round(15.0 / DT):
+            safety.order(Order.LEAVE)
+        target = replace(seen(t_s), range_m=FAR)
+        decision = safety.allow(Setpoint(speed_m_s), target, flying(t_s, north_m_s=flown), t_s)
+        if decision.setpoint is None:
+            break
+        sent = decision.setpoint.forward_m_s
+    assert decision.mode == "ended"
+    assert sent == pytest.approx(0.0, abs=0.05)
+    assert abs(flown) < 0.2
+    assert t_s < 15.0 + speed_m_s / LIMITS.accel_m_s2 + 4.0
