@@ -25,14 +25,13 @@ from follow.link.mode_request import ModeRequest
 from follow.link.packets import Message, Packets
 from follow.link.rates import StreamRates
 from follow.link.signing import Signing
-from follow.link.telemetry import AUTOPILOT, LinkObservations, TelemetryDecoder
+from follow.link.telemetry import AUTOPILOT, COMPANION, LinkObservations, TelemetryDecoder
 from follow.messages import NEVER, Autopilot, Setpoint, VehicleState
 
 log = logging.getLogger(__name__)
 
 FRAME = dialect.MAV_FRAME_BODY_NED  # 8: the frame that both obey as "forward, right, down from the heading"
 VELOCITY_AND_YAW_RATE = 0x05C7  # ignore position, acceleration and yaw; masking one velocity axis drops them all
-COMPANION = dialect.MAV_COMP_ID_ONBOARD_COMPUTER  # 191
 
 HEARTBEAT_EVERY_S = 1.0  # the MAVLink heartbeat protocol's rate
 TIMESYNC_EVERY_S = 0.2  # five chances a second for an exchange without delay
@@ -282,7 +281,9 @@ class MavlinkClient:
         request = self._request
         if request is None or not request.times or message.command != dialect.MAV_CMD_DO_SET_MODE:
             return
-        if self.is_from_vehicle(message) and message.result not in (
+        if not self.is_from_vehicle(message) or not self._vehicle.is_answer(message):
+            return
+        if message.result not in (
             dialect.MAV_RESULT_ACCEPTED,
             dialect.MAV_RESULT_IN_PROGRESS,
         ):

@@ -12,9 +12,11 @@ from follow.link.clock import VehicleClock
 from follow.link.flight_modes import mode_name
 from follow.link.identity import SenderWatch
 from follow.link.packets import Message, as_bytewise_int
+from follow.link.sticks import STICKS_OF
 from follow.messages import NEVER, Autopilot, BatteryLevel, Landed, VehicleState
 
 AUTOPILOT = dialect.MAV_COMP_ID_AUTOPILOT1
+COMPANION = dialect.MAV_COMP_ID_ONBOARD_COMPUTER  # 191: our own component
 MULTIROTORS = {
     dialect.MAV_TYPE_QUADROTOR,
     dialect.MAV_TYPE_HEXAROTOR,
@@ -49,8 +51,6 @@ JUMP_M = 0.5  # a position further than this from where the velocity leads is a 
 JUMP_GAP_S = 1.0  # over a longer gap the velocity says nothing of where the vehicle should be
 ACCEL_M_S2 = 10.0  # more than a multirotor accelerates: how far the velocity may mislead over a gap
 METRES_PER_DEGREE = 111_319.5  # of latitude, WGS 84 equator; home is near enough
-CENTRE_US = 1500  # PWM of a stick at rest
-NOT_OVERRIDDEN = (0, 0xFFFF)  # RC_CHANNELS_OVERRIDE: this channel is left to the remote control
 
 
 @dataclass(slots=True)
@@ -278,8 +278,16 @@ class TelemetryDecoder:
             value = as_bytewise_int(value)
         self.heard.parameters[message.param_id] = value
 
+    def is_answer(self, message: dialect.MAVLink_command_ack_message) -> bool:
+        """Whether it answers a command of ours.  Old autopilots leave the addressee 0, which is everybody."""
+        ours = self.system_id, COMPANION
+        return all(
+            to in (0, own) for to, own in zip((message.target_system, message.target_component), ours, strict=True)
+        )
+
     def _take_command_ack(self, message: dialect.MAVLink_command_ack_message, _t_s: float) -> None:
-        self.heard.answers[message.command] = message.result
+        if self.is_answer(message):
+            self.heard.answers[message.command] = message.result
 
     def _take_autopilot_version(self, message: dialect.MAVLink_autopilot_version_message, _t_s: float) -> None:
         self.heard.version = message
@@ -310,25 +318,6 @@ class TelemetryDecoder:
         "STATUSTEXT": _take_statustext,
     }
     """Message type -> the method that uses it."""
-
-
-def joystick(message: Any) -> tuple[int, ...]:
-    """The sticks of a MANUAL_CONTROL as PWM: pitch, roll, throttle, yaw."""
-    axes = message.x, message.y, message.z, message.r
-    return tuple(CENTRE_US + axis // 2 if abs(axis) <= 1000 else CENTRE_US for axis in axes)
-
-
-def overridden(message: Any) -> tuple[int, ...]:
-    """The sticks of an RC_CHANNELS_OVERRIDE as PWM, channels 1 to 4; one left alone counts as at rest."""
-    sticks = message.chan1_raw, message.chan2_raw, message.chan3_raw, message.chan4_raw
-    return tuple(CENTRE_US if pwm in NOT_OVERRIDDEN else pwm for pwm in sticks)
-
-
-STICKS_OF: dict[str, Callable[[Any], tuple[int, ...]]] = {
-    "MANUAL_CONTROL": joystick,
-    "RC_CHANNELS_OVERRIDE": overridden,
-}
-"""Message type of a ground station's sticks -> their positions."""
 
 
 def jumped(state: VehicleState, position: tuple[float, ...], measured_t_s: float) -> tuple[float, float, float] | None:

@@ -295,3 +295,25 @@ def test_a_stick_that_moves_again_asks_again_for_the_mode_in_which_it_acts():
             assert pair.system.flight.mode == "GUIDED"
             pair.to_autopilot = heard
     assert pair.system.flight.mode == MODES_OF[Autopilot.ARDUPILOT].sticks
+
+
+@BOTH
+@pytest.mark.parametrize("addressee", [(255, 190), (1, 195), (1, 0), (0, 191), (0, 0), (1, 191)])
+def test_only_a_refusal_that_is_addressed_to_us_or_to_nobody_ends_our_request(autopilot, addressee):
+    """A ground station's own request may be refused at the same time; old autopilots leave the addressee 0."""
+    pair = Pair(autopilot).fly()
+    pair.setpoint = None
+    pair.to_autopilot = lambda _packets: []  # our first request is lost
+    pair.run(1.2)
+    assert pair.client.requested_mode == MODES_OF[autopilot].hold
+    mav = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
+    command, denied = dialect.MAV_CMD_DO_SET_MODE, dialect.MAV_RESULT_DENIED
+    answer = dialect.MAVLink_command_ack_message(command, denied, 0, 0, *addressee)
+    pair.client.receive(answer.pack(mav), pair.t_s, datagram=True)
+    is_ours = addressee[0] in (0, 1) and addressee[1] in (0, 191)
+    assert pair.client.is_asking() is not is_ours
+    assert bool(pair.state.refusal) is is_ours
+    if not is_ours:
+        pair.to_autopilot = lambda packets: packets
+        pair.run(3.0)
+        assert pair.state.mode != MODES_OF[autopilot].control
