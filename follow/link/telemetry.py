@@ -209,7 +209,7 @@ class TelemetryDecoder:
             east_scale = math.cos(math.radians(lat / 1e7))
             home = (
                 (message.latitude - lat) * 1e-7 * METRES_PER_DEGREE,
-                (message.longitude - lon) * 1e-7 * METRES_PER_DEGREE * east_scale,
+                math.remainder((message.longitude - lon) * 1e-7, 360.0) * METRES_PER_DEGREE * east_scale,
                 (alt - message.altitude) / 1e3,
             )
         if all(map(math.isfinite, home)):
