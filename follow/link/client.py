@@ -97,13 +97,12 @@ class MavlinkClient:
     def state(self, t_s: float) -> VehicleState:
         """What is known of the vehicle at `t_s`."""
         known = self._vehicle.state
-        stranger_t_s = max(self.peer.strangers.values(), default=NEVER)
         return replace(
             known,
             t_s=t_s,
             in_control=self._in_control and known.armed,
             refusal=self._refusal,
-            contested_t_s=max(known.contested_t_s, stranger_t_s),
+            contested_t_s=max(known.contested_t_s, self.peer.stranger_t_s),
         )
 
     def receive(self, data: bytes, t_s: float, datagram: bool = False, source: Source = None) -> list[Message]:
@@ -270,7 +269,7 @@ class MavlinkClient:
             if known not in (None, self.peer.address):
                 log.warning("the vehicle is now heard at %s, no longer at %s", self.peer.address, known)
             return False
-        if self._is_due(f"stranger {source}", t_s, 10.0):
+        if self._is_due("stranger", t_s, 10.0):
             log.warning("%s also claims to be system %s: its packets are ignored", source, self.vehicle_id)
         return True
 

@@ -15,6 +15,7 @@ Source = tuple[str, int] | None
 PEER_LOST_S = 10.0  # a vehicle silent for this long may have a new address: longer than any failsafe waits
 NEW_PEER_S = 2.0  # ... and the new address must have spoken for this long
 NEW_PEER_DATAGRAMS = 10
+MOST_STRANGERS = 64  # addresses that are remembered: a forger may use a new one for each datagram
 BACKWARD = range(128, 236)  # a sequence number 21 to 128 behind the last: more than reordering does, less than a loss
 STRANGE_PACKETS = 3  # in CONTESTED_S: fewer happen after an outage of more than 128 packets, or a restart
 CONTESTED_S = 5.0
@@ -24,12 +25,14 @@ CONTESTED_S = 5.0
 class PeerAddress:
     """The address that speaks for the vehicle.  The first one is kept; an unsigned datagram never moves it.
 
-    `strangers` holds every other address that claimed to be the vehicle, with the time of its last datagram.
+    `strangers` holds the other addresses that claimed to be the vehicle, with the time of the last datagram of each:
+    the MOST_STRANGERS latest ones.  `stranger_t_s` is when the last of them spoke.
     """
 
     address: Source = None
     heard_t_s: float = NEVER
     strangers: dict[Source, float] = field(default_factory=dict)
+    stranger_t_s: float = NEVER
     _since_t_s: float = NEVER
     _count: int = 0
 
@@ -42,12 +45,16 @@ class PeerAddress:
             return True
         if self.strangers.get(source, NEVER) < t_s - CONTESTED_S or not self._count:
             self._since_t_s, self._count = t_s, 0
-        self.strangers[source] = t_s
+        self.strangers.pop(source, None)  # to the end: the first one is the one that has been silent for longest
+        self.strangers[source] = self.stranger_t_s = t_s
+        if len(self.strangers) > MOST_STRANGERS:
+            del self.strangers[next(iter(self.strangers))]
         self._count += 1
         silent = t_s - self.heard_t_s > PEER_LOST_S
         if silent and self._count >= NEW_PEER_DATAGRAMS and t_s - max(self._since_t_s, self.heard_t_s) >= NEW_PEER_S:
             self.address, self.heard_t_s, self._count = source, t_s, 0
             del self.strangers[source]
+            self.stranger_t_s = max(self.strangers.values(), default=NEVER)
             return True
         return False
 

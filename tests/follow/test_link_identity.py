@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import common as dialect
 from follow.link import LinkError
 from follow.link import transports as wire
 from follow.link.connection import MavlinkLink
-from follow.link.identity import PeerAddress, SenderWatch
+from follow.link.identity import MOST_STRANGERS, PeerAddress, SenderWatch
 from follow.link.signing import Signing
 from follow.link.transports import Reach, open_transport
 from follow.messages import HOVER, NEVER, Autopilot
@@ -33,6 +33,22 @@ def test_the_first_address_keeps_its_role_while_it_is_heard_whatever_others_send
     assert peer.strangers == {STRANGER: t_s}
 
 
+def test_many_forged_addresses_are_bounded_in_memory_and_in_the_log(caplog):
+    link = MavlinkLink(Mailbox())
+    pair = Pair(Autopilot.PX4)
+    pair.system.step(1.0)
+    speak(link, pair.system.take(), VEHICLE)
+    beat = dialect.MAVLink_heartbeat_message(2, 12, 129, 6 << 16, 4, 3)
+    strangers = [(f"10.1.{n >> 8}.{n & 255}", 99) for n in range(1000)]
+    for n, source in enumerate(strangers):
+        link.client.receive(forged(beat), 0.001 * n, datagram=True, source=source)
+    peer = link.client.peer
+    assert peer.address == VEHICLE
+    assert list(peer.strangers) == strangers[-MOST_STRANGERS:], "the latest ones are kept"
+    assert link.client.state(1.0).contested_t_s == pytest.approx(0.999)
+    assert len([r for r in caplog.records if "also claims" in r.message]) == 1
+
+
 def test_a_new_address_is_believed_only_after_a_long_silence_and_when_it_goes_on():
     peer = PeerAddress()
     peer.admits(VEHICLE, 0.0, signed=False)
@@ -40,6 +56,7 @@ def test_a_new_address_is_believed_only_after_a_long_silence_and_when_it_goes_on
     times = [1001.0 + 0.1 * n for n in range(40)]
     assert [peer.admits(STRANGER, t_s, signed=False) for t_s in times].index(True) > 9
     assert peer.address == STRANGER
+    assert peer.stranger_t_s == NEVER, "the new address is no second sender"
 
 
 def test_a_signed_packet_moves_the_address_at_once():
