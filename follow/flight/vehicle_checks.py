@@ -14,9 +14,10 @@ LISTEN_S = 4.0  # long enough to count the slowest stream, 1 Hz
 ASK_TIMES = 4  # a parameter's request or reply may be lost
 REPLY_S = 0.5
 RECENT_S = 3.0  # of remote control and landed state; both are requested at 2 Hz and more
+OLDEST_ATTITUDE_S = 0.1  # `limits.attitude_age_s`
 LEAST_HZ = {
     "HEARTBEAT": 0.5,
-    "ATTITUDE": 20.0,  # the gate lets it be 100 ms old: twice that rate
+    "ATTITUDE": 20.0,  # twice the rate of OLDEST_ATTITUDE_S
     "LOCAL_POSITION_NED": 5.0,  # ... 500 ms
     "EXTENDED_SYS_STATE": 0.5,  # without it the vehicle counts as landed
 }
@@ -224,9 +225,15 @@ def listed(senders: list[tuple[int, int]]) -> str:
 
 
 def _clock(client: MavlinkClient) -> Finding:
+    """Without the vehicle's clock nobody knows the telemetry's age; late telemetry counts as half a round trip old."""
     clock = client.clock
     if clock.offset_s is None:
-        return Finding("timesync", Health.WARN, "no reply: measurements get the time of their arrival")
+        text = "no reply to TIMESYNC, which both autopilots answer: how old the telemetry is cannot be known"
+        fix = "let TIMESYNC pass both ways on every router, and sign all of them or none"
+        return Finding("timesync", Health.RED, text, fix)
+    if clock.round_trip_s / 2 > OLDEST_ATTITUDE_S:
+        text = f"a round trip takes {clock.round_trip_s:.1f} s: telemetry counts as {clock.round_trip_s / 2:.1f} s old"
+        return Finding("timesync", Health.RED, text, "a faster link, or fewer other streams on it")
     return Finding("timesync", Health.OK, f"the vehicle's clock is known within {500 * clock.round_trip_s:.1f} ms")
 
 

@@ -146,6 +146,7 @@ class MavlinkClient:
         if self.vehicle_id is None or autopilot is None:
             return
         if self._is_due("timesync", t_s, TIMESYNC_EVERY_S):
+            self.clock.ask(t_s)
             self._send(dialect.MAVLink_timesync_message(0, round(t_s * 1e9)))
         if self._is_due("mode", t_s, MODE_EVERY_S if self._request is None else MODE_SOON_S):
             self.command(dialect.MAV_CMD_REQUEST_MESSAGE, dialect.MAVLINK_MSG_ID_HEARTBEAT)
