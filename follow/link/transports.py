@@ -10,10 +10,14 @@ import contextlib
 import errno
 import fcntl
 import ipaddress
+import logging
 import os
 import select
 import socket
+import struct
+import sys
 import termios
+import threading
 import time
 import tty
 from abc import ABC, abstractmethod
@@ -22,10 +26,16 @@ from typing import Protocol
 
 from follow.link import LinkError
 from follow.link.identity import Source
+from follow.link.send_queue import UNSENT_S, SendQueue, unsent_bytes
+
+log = logging.getLogger(__name__)
 
 REOPEN_S = 1.0  # a USB serial adapter takes about this long to come back
 CONNECT_TIMEOUT_S = 2.0
-READ_BYTES = 65536
+SILENT_S = 0.5  # a TCP peer that sent nothing for this long may not be reading either; telemetry comes every 20 ms
+HEARTBEAT = bytes(3)  # the message number in a MAVLink 2 packet
+ACKNOWLEDGED_S = 0.5  # TCP_USER_TIMEOUT
+READ_BYTES = 4096
 DATAGRAM_BYTES = 2048  # what carries MAVLink fits into an Ethernet frame; the rest of a longer one is discarded
 LAST_PORT = 65535
 
@@ -151,13 +161,20 @@ class UdpTransport:
 
 
 class _StreamTransport(ABC):
-    """Shared by TCP and serial lines: a file descriptor that is reopened after it was lost."""
+    """Shared by TCP and serial lines: a file descriptor that is reopened after it was lost.
+
+    What waits in its send buffer for more than UNSENT_S is discarded: no old setpoint and no old request for a mode is
+    delivered when the line moves again.  Only the reading thread opens and loses the file; a lock keeps the writing
+    thread from a descriptor that was closed and may by then be another file's.
+    """
 
     datagrams = False
 
     def __init__(self) -> None:
         self._file: int | None = None
         self._lost_at_s = 0.0
+        self._lock = threading.Lock()
+        self._queue = SendQueue()
         self._file = self._open()
 
     @abstractmethod
@@ -168,15 +185,24 @@ class _StreamTransport(ABC):
     @abstractmethod
     def _open(self) -> int: ...
 
+    @abstractmethod
+    def _discard(self, file: int) -> None:
+        """Discard what waits in the send buffer; the lock is held."""
+        ...
+
     def read(self, timeout_s: float) -> tuple[bytes, Source]:
         """The bytes that arrived; after a drop, retries every REOPEN_S."""
-        if self._file is None:
+        file = self._file
+        if file is None:
             self._reopen(timeout_s)
             return b"", None
-        if not select.select([self._file], [], [], timeout_s)[0]:
+        with self._lock:
+            if self._is_late(file):
+                self._discard(file)
+        if self._file is None or not select.select([file], [], [], timeout_s)[0]:
             return b"", None
         try:
-            data = os.read(self._file, READ_BYTES)
+            data = os.read(file, READ_BYTES)
         except BlockingIOError:
             return b"", None
         except OSError:
@@ -186,22 +212,35 @@ class _StreamTransport(ABC):
         return data, None
 
     def write(self, packet: bytes) -> bool:
-        """A packet that does not fit into the buffer is truncated; the receiver's checksum discards it."""
-        if self._file is None:
-            return False
-        try:
-            return os.write(self._file, packet) == len(packet)
-        except OSError:
-            return False
+        """A packet that does not fit into the buffer is truncated; the receiver's checksum discards it.
+
+        Behind bytes that are late already, nothing is written.
+        """
+        with self._lock:
+            if self._file is None or self._is_late(self._file):
+                return False
+            try:
+                count = os.write(self._file, packet)
+            except OSError:
+                return False
+            self._queue.wrote(count, time.monotonic())
+            return count == len(packet)
 
     def answer_to(self, source: Source) -> None:  # noqa: B027 (nothing to do)
         """Nothing: there is only one peer."""
 
     def close(self) -> None:
-        """Close the file."""
-        if self._file is not None:
-            os.close(self._file)
-            self._file = None
+        """Close the file; what is late in its send buffer is discarded."""
+        with self._lock:
+            if self._file is not None and self._is_late(self._file):
+                self._discard(self._file)
+            file, self._file = self._file, None
+            self._queue.clear()
+        if file is not None:
+            os.close(file)
+
+    def _is_late(self, file: int) -> bool:
+        return self._queue.age_s(unsent_bytes(file), time.monotonic()) > UNSENT_S
 
     def _drop(self) -> None:
         self.close()
@@ -216,23 +255,53 @@ class _StreamTransport(ABC):
 
 
 class TcpTransport(_StreamTransport):
-    """A TCP connection to a listening peer."""
+    """A TCP connection to a listening peer.
+
+    Late bytes can only be discarded with their connection: it is reset, and made again as after a loss.  Where the
+    peer's own system has accepted bytes that its program does not read, nobody can call them back: so nothing except
+    our HEARTBEAT is written to a peer that has been silent for SILENT_S.
+    """
 
     def __init__(self, host: str, port: int):
         self._address = (host, port)
+        self._heard_t_s = 0.0
         super().__init__()
 
     def reach(self) -> Reach:
         """By the peer's address."""
         return reach_of(self._address[0])
 
+    def read(self, timeout_s: float) -> tuple[bytes, Source]:
+        """The bytes that arrived; after a drop, retries every REOPEN_S."""
+        data, source = super().read(timeout_s)
+        if data:
+            self._heard_t_s = time.monotonic()
+        return data, source
+
+    def write(self, packet: bytes) -> bool:
+        """Send one packet, unless the peer is silent or takes nothing."""
+        is_silent = time.monotonic() - self._heard_t_s > SILENT_S
+        return (not is_silent or packet[7:10] == HEARTBEAT) and super().write(packet)
+
     def _open(self) -> int:
         connection = socket.create_connection(self._address, timeout=CONNECT_TIMEOUT_S)
         connection.setsockopt(
             socket.IPPROTO_TCP, socket.TCP_NODELAY, 1
         )  # do not wait to merge setpoints into one segment
+        if sys.platform == "linux":  # the system's own limit, which acts also while this program is stopped
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, round(ACKNOWLEDGED_S * 1e3))
         connection.setblocking(False)
+        self._heard_t_s = time.monotonic()  # it took the connection
         return connection.detach()
+
+    def _discard(self, file: int) -> None:
+        log.warning("the vehicle's TCP connection takes nothing: it is reset, so that nothing old arrives")
+        connection = socket.socket(fileno=file)
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        connection.close()
+        self._file = None
+        self._queue.clear()
+        self._lost_at_s = time.monotonic()
 
 
 class SerialTransport(_StreamTransport):
@@ -248,6 +317,11 @@ class SerialTransport(_StreamTransport):
     def reach(self) -> Reach:
         """The other end of the cable or radio."""
         return Reach.SERIAL
+
+    def _discard(self, file: int) -> None:
+        with contextlib.suppress(OSError, termios.error):
+            termios.tcflush(file, termios.TCOFLUSH)
+        self._queue.clear()
 
     def _open(self) -> int:
         line = os.open(self._device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
