@@ -7,15 +7,14 @@ the caller's thread: if that hangs, the stream of setpoints stops and the autopi
 import logging
 import threading
 import time
-from collections.abc import Callable, Sequence
-from queue import Empty, SimpleQueue
+from collections.abc import Callable, Iterator, Sequence
 from types import TracebackType
 
 from typing_extensions import Self
 
 from follow.link import LinkError
+from follow.link.arrivals import Arrival, Arrivals
 from follow.link.client import MavlinkClient
-from follow.link.identity import Source
 from follow.link.packets import Message
 from follow.link.signing import Signing
 from follow.link.tlog import Tlog
@@ -24,6 +23,8 @@ from follow.messages import NEVER, Notify, Setpoint, VehicleState
 
 log = logging.getLogger(__name__)
 
+VEHICLE_S = 0.02  # of a round for the packets of the vehicle: several hundred of them; it sends some 250 a second
+OTHERS_S = 0.005  # ... for everybody else's
 READ_S = 0.05  # the reading thread checks this often whether it should end
 WAITING_EVERY_S = 5.0  # between two lines about what is still missing
 HOLD_S = 2.0  # PX4 shows a new mode up to 1 s late; twice that
@@ -46,7 +47,7 @@ class MavlinkLink:
         self.listeners: list[Callable[[Message, float], object]] = []  # hear what comes from the vehicle's address
         self._transport = transport
         self._tlog = tlog
-        self._arrived: SimpleQueue[tuple[float, bytes, Source]] = SimpleQueue()
+        self._arrived = Arrivals()
         self._ending = threading.Event()
         self._reader = threading.Thread(target=self._read, name="link reader", daemon=True)
 
@@ -92,13 +93,10 @@ class MavlinkLink:
     def pump(self) -> list[Message]:
         """Use what arrived and send what is due; returns the messages received."""
         messages: list[Message] = []
-        while True:
-            try:
-                t_s, data, source = self._arrived.get_nowait()
-            except Empty:
-                break
+        for t_s, data, source in self._to_use():
             refused = self.client.packets.refused
             found = self.client.receive(data, t_s, self._transport.datagrams, source)
+            self._arrived.set_peer(self.client.peer.address)
             # A vehicle whose signing clock is behind ours is refused until it has heard ours.
             is_unheard = self.client.vehicle_id is None and self.client.packets.refused > refused
             if is_unheard or self.client.peer.address is not None:
@@ -112,9 +110,18 @@ class MavlinkLink:
                 for listener in self.listeners:
                     for message in found:
                         listener(message, t_s)
+        if lost := self._arrived.flood(time.monotonic()):
+            log.warning("the vehicle's port is flooded: %d packets were dropped; look who sends there", lost)
         self.client.step(time.monotonic())
         self._flush()
         return messages
+
+    def _to_use(self) -> Iterator[Arrival]:
+        """What arrived, the vehicle's first, for no longer than a round can spare: the rest waits or is dropped."""
+        for take, most_s in ((self._arrived.take_vehicles, VEHICLE_S), (self._arrived.take_others, OTHERS_S)):
+            end_s = time.monotonic() + most_s
+            while time.monotonic() < end_s and (arrival := take()) is not None:
+                yield arrival
 
     def wait_for_vehicle(self, timeout_s: float, report: Notify = log.info) -> None:
         """Wait until heartbeat, attitude and position are known; raises LinkError naming what is missing.
