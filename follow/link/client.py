@@ -39,6 +39,7 @@ MODE_EVERY_S = 0.2  # a HEARTBEAT is requested: its mode is the only truth, and 
 MODE_SOON_S = 0.05  # the same while a requested mode is awaited
 VERSION_EVERY_S = 2.0
 STREAM_GAP_S = 0.5  # 2 Hz; also the shortest COM_OF_LOSS_T and GUID_TIMEOUT that we ask for
+SILENT_S = 3.0  # without a heartbeat: the link is cut, and nobody is obeyed
 DEAD_STICKS_EVERY_S = 10.0  # told as often as a pilot may need to read it
 TEXT_BYTES = 50  # of STATUSTEXT
 REFUSAL_TEXT_S = 2.0  # a STATUSTEXT within this time of a refused request is its reason
@@ -93,6 +94,11 @@ class MavlinkClient:
     def requested_mode(self) -> str:
         """The mode that is requested and not yet shown or given up; empty if none is."""
         return "" if self._request is None else self._request.mode
+
+    @property
+    def requested_times(self) -> int:
+        """How often it was sent: not at all while no heartbeat shows that the vehicle is still ours."""
+        return 0 if self._request is None else self._request.times
 
     def state(self, t_s: float) -> VehicleState:
         """What is known of the vehicle at `t_s`."""
@@ -156,6 +162,10 @@ class MavlinkClient:
             self.command(dialect.MAV_CMD_REQUEST_MESSAGE, dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
         if self._request is not None:
             self._pursue(self._request, autopilot, t_s)
+        silent_s = t_s - self._vehicle.state.heartbeat_t_s
+        if self._is_in_ours and silent_s > SILENT_S and self._is_due("silence", t_s, DEAD_STICKS_EVERY_S):
+            mode, sticks = self._vehicle.state.mode, self._names().sticks
+            log.warning("nothing heard from the vehicle for %.0f s: it was in %s, switch to %s", silent_s, mode, sticks)
 
     def send_setpoint(self, setpoint: Setpoint | None, t_s: float) -> None:
         """Queue one setpoint, or end the stream if None.

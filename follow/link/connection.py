@@ -195,8 +195,11 @@ class MavlinkLink:
         while self.client.is_asking() and time.monotonic() < end_s:
             self.pump()
             time.sleep(0.01)
-        still = f"; {self.client.requested_mode} was requested" if self.client.is_asking() else ""
-        log.info("leaving: the vehicle is in %s%s", self.client.state(NEVER).mode or "no known mode", still)
+        mode, asked = self.client.state(NEVER).mode or "no known mode", self.client.requested_mode
+        if asked and not self.client.requested_times:
+            log.warning("leaving: %s could not be requested, the vehicle is not heard; it was in %s", asked, mode)
+        else:
+            log.info("leaving: the vehicle is in %s%s", mode, f"; {asked} was requested" if asked else "")
 
 
 def connect(

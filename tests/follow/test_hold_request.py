@@ -317,3 +317,17 @@ def test_only_a_refusal_that_is_addressed_to_us_or_to_nobody_ends_our_request(au
         pair.to_autopilot = lambda packets: packets
         pair.run(3.0)
         assert pair.state.mode != MODES_OF[autopilot].control
+
+
+@BOTH
+def test_a_link_that_is_cut_in_our_mode_is_told_again_and_again(autopilot, caplog):
+    pair = Pair(autopilot).fly()
+    pair.to_autopilot = pair.to_client = lambda _packets: []
+    pair.run(2.0)
+    pair.setpoint = None
+    pair.run(30.0)
+    lines = [line for line in caplog.messages if line.startswith("nothing heard from the vehicle for")]
+    control, sticks = MODES_OF[autopilot].control, MODES_OF[autopilot].sticks
+    assert lines[0] == f"nothing heard from the vehicle for 3 s: it was in {control}, switch to {sticks}"
+    assert len(lines) in (3, 4)
+    assert (pair.client.requested_times, pair.state.mode) == (0, control)
