@@ -91,7 +91,8 @@ UNSEEN_S = 0.15
 """A target not seen for this long, two frames of a slow camera, may be behind a wall where it was last seen."""
 
 STILL_M_S, STANDS_M_S = 0.05, 0.15
-"""A vehicle in BRAKE counts as stopped when the speed last sent, and that of a vehicle which obeys, are below these.
+"""A vehicle in BRAKE counts as stopped when the speed last sent is below the first and, unless its data are stale, that
+of a vehicle which obeys below the second.
 
 An autopilot that is given a vehicle which still moves flies it back, or on, to a place of its own."""
 
@@ -215,8 +216,8 @@ def facts(
     beyond, over = gate.reach.told, given_up(gate.reach, state, limits)
     # A target that was just chosen is looked for as long as one that was lost.
     waited_s = unseen_s if math.isfinite(unseen_s) else state.t_s - gate.aimed_t_s
-    stands = speed(gate) < STILL_M_S and math.hypot(*gate.response.expected) < STANDS_M_S
-    return Facts(state, old, waited_s, found, stopping, beyond, over, stands, instruction)
+    lags = gate.authority.last is not None and math.hypot(*gate.response.expected) >= STANDS_M_S
+    return Facts(state, old, waited_s, found, stopping, beyond, over, speed(gate) < STILL_M_S and not lags, instruction)
 
 
 def too_near(estimate: Estimate, limits: Limits) -> str:
