@@ -159,8 +159,7 @@ def decide(
     `contradiction` is what an external check found to contradict the estimate; it brakes like stale data.
     """
     t_s = state.t_s if math.isfinite(state.t_s) else gate.t_s
-    dt = clamped(max(t_s - gate.t_s, 0.0), GAP_S) if gate.t_s > NEVER else 0.0
-    gate = replace(gate, gap_s=gate.gap_s + (dt - gate.gap_s) * (1.0 - math.exp(-dt / PACE_S)))
+    gate, dt = paced(gate, t_s)
     old = stale(state, frame_t_s, limits)
     old = (*old, *(text for text in (estimate.contradiction, contradiction) if text))
     unseen_s = unseen(estimate, state.t_s, limits)
@@ -192,10 +191,15 @@ def decide(
         velocity, turn, held = permitted(gate, desired, target, another, state, unseen_s, limits)
         if gate.mode is Mode.FOLLOW:
             reach = watched_reach(gate.reach, desired, velocity[:2], target, state, limits)
-    gate = replace(gate, reach=reach)
-    gate = ramped(gate, velocity, turn, dt, limits)
+    gate = ramped(replace(gate, reach=reach), velocity, turn, dt, limits)
     setpoint = body_setpoint(gate, state.yaw_rad)
     return gate, Decision(setpoint, authority.mode, (*notes, *held), authority.reason, authority.release)
+
+
+def paced(gate: Gate, t_s: float) -> tuple[Gate, float]:
+    """The gate with the mean time between rounds, and the time since the last one, s."""
+    dt = clamped(max(t_s - gate.t_s, 0.0), GAP_S) if gate.t_s > NEVER else 0.0
+    return replace(gate, gap_s=gate.gap_s + (dt - gate.gap_s) * (1.0 - math.exp(-dt / PACE_S))), dt
 
 
 def facts(

@@ -146,7 +146,7 @@ def test_a_vehicle_that_stands_while_it_is_told_to_walk_is_left_to_its_autopilot
 
 
 def out_of_reach(cut_m_s, seconds):
-    """The rounds of a target that runs away at 7.5 m/s; what a limit takes off the wish is `cut_m_s` of the time."""
+    """The rounds of a target that runs away at 7.5 m/s; a limit takes `cut_m_s` off the desired speed, by round."""
     reach, told = TargetReach(), []
     for i in range(round(seconds / DT)):
         t_s = i * DT
