@@ -81,6 +81,8 @@ def main() -> None:
     parser.add_argument("--jobs", type=processes, default="0", help="number of processes; 0: one for each core")
     parser.add_argument("--dask", help="address of a running Dask scheduler")
     args = parser.parse_args()
+    if args.frames < 1:
+        parser.error(f"argument --frames: at least 1, not {args.frames}")
     try:
         sequences = read_halves(args.data, args.only)
     except (OSError, ValueError) as error:
