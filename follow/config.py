@@ -15,11 +15,19 @@ from follow.control.servo import ServoConfig
 from follow.control.target import TargetConfig
 from follow.geometry import Intrinsics
 from follow.operator.video_out import VideoConfig
+from follow.ranges import require_at_most
 from follow.recording.recorder import RecordConfig
 from follow.safety.limits import Limits
 
 Layer = Mapping[str, Mapping[str, float]]
 """Settings by branch and name, as a scenario or a kind of target gives them."""
+
+MOST_OF_TARGET = {
+    "size_m": 10.0,  # A lorry from the side is 16 m long and 4 m high: sqrt(16 x 4) is 8.
+    "middle_fraction": 1.0,  # The box's upper edge.
+    "speed_std_m_s": 50.0,  # 180 km/h.
+}
+"""Largest plausible values: larger ones are in another unit, as a height in cm."""
 
 MOUNT_DEG = 30.0
 """The mounting angle of a camera that nobody described: 10 m up, the image's middle is 17 m ahead."""
@@ -62,7 +70,7 @@ class CameraConfig:
 
 @dataclass(frozen=True, slots=True)
 class Config:
-    """Every setting of a flight."""
+    """Every setting of a flight.  Raises ValueError for an implausible target."""
 
     camera: CameraConfig = field(default_factory=CameraConfig)
     target: TargetConfig = field(default_factory=TargetConfig)
@@ -70,6 +78,9 @@ class Config:
     limits: Limits = field(default_factory=Limits)
     record: RecordConfig = field(default_factory=RecordConfig)
     video: VideoConfig = field(default_factory=VideoConfig)
+
+    def __post_init__(self) -> None:
+        require_at_most("target setting", self.target, MOST_OF_TARGET)
 
 
 class TargetKind(str, Enum):

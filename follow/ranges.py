@@ -1,7 +1,7 @@
-"""The one rule that most settings obey: a finite number, above zero unless the setting may be zero."""
+"""The rules that most settings obey: a finite number, above zero unless it may be zero, and plausible."""
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import fields
 from typing import TYPE_CHECKING
 
@@ -25,3 +25,11 @@ def require_numbers(
             rule, holds = "a positive number", value > 0
         if not (holds and math.isfinite(value)):
             raise ValueError(f"{kind} {name} must be {rule}, not {value:g}")
+
+
+def require_at_most(kind: str, settings: "DataclassInstance", most: Mapping[str, float]) -> None:
+    """Raise ValueError naming the first number whose size is beyond `most`: usually one in another unit."""
+    for name, largest in most.items():
+        value = getattr(settings, name)
+        if value is not None and abs(value) > largest:
+            raise ValueError(f"{kind} {name} must be at most {largest:g}, not {value:g}: check its unit")

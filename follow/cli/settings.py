@@ -95,7 +95,7 @@ def _branch(default: BranchT, table: object, source: str, name: str) -> BranchT:
     try:
         return replace(default, **values)
     except ValueError as error:
-        raise UsageError(f"{source}: {name}: {error}") from None
+        raise UsageError(f"{source}: {f'{name}: ' * bool(name)}{error}") from None
 
 
 def _nearest(key: str, known: Mapping[str, object]) -> str:

@@ -11,7 +11,7 @@ from enum import Enum
 from follow.control.pid import Gains, Pid
 from follow.geometry import heading_to_ned, ned_to_heading, wrap
 from follow.messages import NEVER, Estimate, Setpoint, VehicleState
-from follow.ranges import require_numbers
+from follow.ranges import require_at_most, require_numbers
 from follow.selection import AS_SET, HOVER_HERE, NOT_KEPT, KeptStandoff, Wanted
 
 
@@ -30,6 +30,13 @@ YAW = Gains(
 )  # 1/s: below the bandwidth of both autopilots' yaw (0.08 s dead time, 0.2 s time constant)
 CLIMB = Gains(kp=0.6, limit=3.0)  # 1/s, on metres of height; m/s
 APPROACH = Gains(kp=0.35, ki=0.02, limit=6.0)  # 1/s, on metres; the vehicle reaches a velocity within 0.7 s; m/s
+
+MOST = {
+    "standoff_m": 200.0,  # A person is three pixels high there, in 640x360.
+    "orbit_m_s": 20.0,  # The gate's fastest.
+    "abeam_m_s": 20.0,  # The gate's fastest.
+}
+"""Largest plausible values: larger ones are in another unit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +65,7 @@ class ServoConfig:
     def __post_init__(self) -> None:
         may_be_zero = ("feed_forward", "pitch_filter_s", "abeam_per_s", "abeam_m_s", "course_m_s")
         require_numbers("servo setting", self, may_be_zero=may_be_zero, any_sign=("orbit_m_s",))
+        require_at_most("servo setting", self, MOST)
 
 
 FAR_BELOW = "the target is far below: nearer, it would leave the image"

@@ -1,16 +1,55 @@
 """The gate's limits: each number with its unit, its meaning and its source."""
 
-import math
 from dataclasses import dataclass
 
-from follow.ranges import require_numbers
+from follow.ranges import require_at_most, require_numbers
 
 MAY_BE_ZERO = ("latency_s", "out_of_view_m_s", "clear_distance")
+
+LONG_S = 1800.0
+"""A battery's time: a longer one is in milliseconds."""
+
+MOST = {
+    "speed_m_s": 20.0,  # Largest speed for which either autopilot's own parameter is made.
+    "coast_m_s": 20.0,  # As speed_m_s.
+    "climb_m_s": 8.0,  # Largest climb for which PX4's own parameter is made.
+    "accel_m_s2": 10.0,  # 45 degrees of tilt.
+    "jerk_m_s3": 100.0,  # The largest acceleration within 0.1 s, in which no airframe tilts that far.
+    "climb_accel_m_s2": 10.0,  # Free fall.
+    "yaw_rate_rad_s": 3.5,  # 200 degrees/s: ArduPilot's ATC_SLEW_YAW allows up to 180.
+    "search_rad_s": 3.5,  # As yaw_rate_rad_s.
+    "yaw_accel_rad_s2": 35.0,  # The largest yaw rate within 0.1 s.
+    "floor_m": 500.0,  # As ceiling_m.
+    "ceiling_m": 500.0,  # Four times the open category's limit: a hill may rise beside the start.
+    "fence_m": 2000.0,  # Nobody sees a drone farther away.
+    "min_standoff_m": 100.0,  # A person is six pixels high there, in 640x360.
+    "above_target_m": 500.0,  # As ceiling_m.
+    "clear_distance": 10.0,  # A fraction: 100 is a percentage.
+    "range_sigmas": 10.0,  # The range is never that uncertain.
+    "half_view_rad": 1.57,  # A right angle: no lens without distortion sees that far.
+    "out_of_view_m_s": 20.0,  # As speed_m_s.
+    "frame_age_s": 2.0,  # 16 m flown blind at the default maximum speed.
+    "latency_s": 2.0,  # As frame_age_s.
+    "attitude_age_s": 1.0,  # By then the vehicle has turned by as much as it sees.
+    "position_age_s": 2.0,  # As frame_age_s.
+    "heartbeat_age_s": 30.0,  # Thirty missed ones.
+    "coast_after_s": 10.0,  # 80 m flown at the default maximum speed towards what is not seen.
+    "search_after_s": LONG_S,
+    "give_up_after_s": LONG_S,
+    "stale_grace_s": 10.0,  # PX4's failsafe acts within 1 s of silence, ArduPilot's within 3 s.
+    "hold_timeout_s": LONG_S,
+    "reach_after_s": LONG_S,
+    "out_of_reach_s": LONG_S,
+    "ready_after_s": 60.0,  # Nobody waits longer for READY.
+    "order_timeout_s": 60.0,  # Nobody expects the vehicle to set off later.
+    "engage_timeout_s": 60.0,  # As order_timeout_s.
+}
+"""Largest value of each limit that is plausible.  disobey_after_s has none: by it the check is switched off."""
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """The gate's numbers.  Raises ValueError for a number that is not positive or an empty altitude band.
+    """The gate's numbers.  Raises ValueError for a number that is not positive or not plausible, or an empty band.
 
     A derived number is None until someone gives it.  The gate then takes the strictest value: a camera that sees
     nothing to either side of the nose, and frames that arrive without delay.
@@ -53,7 +92,6 @@ class Limits:
 
     def __post_init__(self) -> None:
         require_numbers("limit", self, may_be_zero=MAY_BE_ZERO)
+        require_at_most("limit", self, MOST)
         if self.floor_m >= self.ceiling_m:
             raise ValueError(f"the floor {self.floor_m:g} m must lie below the ceiling {self.ceiling_m:g} m")
-        if self.half_view_rad is not None and self.half_view_rad >= math.pi / 2:
-            raise ValueError(f"limit half_view_rad must be below a right angle, not {self.half_view_rad:g}")

@@ -220,7 +220,7 @@ def straight(monkeypatch):
 
 def outliving(monkeypatch):
     """An order lives for ever."""
-    monkeypatch.setattr(Referee, "limits", Limits(order_timeout_s=1e6))
+    monkeypatch.setattr(Referee, "limits", Limits(order_timeout_s=60.0))
 
 
 MUTANTS = {

@@ -26,7 +26,7 @@ from follow.control.target import TargetConfig
 from follow.messages import Autopilot
 from follow.operator.terminal import Terminal
 from follow.recording.recorder import RecordConfig
-from follow.safety.limits import Limits
+from follow.safety.limits import MOST, Limits
 from racf.commandline import UsageError
 from sim.dynamics import Vehicle, VehicleTruth
 from sim.link import SimLink
@@ -123,7 +123,7 @@ def test_a_file_sets_what_it_names_and_nothing_else(tmp_path):
 
 def test_what_is_written_is_read_again(tmp_path):
     odd = Config(
-        limits=Limits(speed_m_s=1 / 3, fence_m=1e22),
+        limits=Limits(speed_m_s=1 / 3, fence_m=1e3 / 7),
         servo=ServoConfig(mode=ServoMode.TOP_DOWN, orbit_m_s=-2.5, climb=Gains(kp=1e-7)),
     )
     for config in (Config(), odd):
@@ -143,6 +143,33 @@ def test_the_command_line_overrides_the_file(tmp_path):
         command = run_command(*option, "--limits.floor-m", "120")
         assert command.config.limits == Limits(speed_m_s=3.0, floor_m=120.0, ceiling_m=200.0)
         assert command.settings == path
+
+
+@pytest.mark.parametrize(
+    "setting",
+    [
+        ("target", "size_m", 170),
+        ("target", "middle_fraction", 50),
+        ("servo", "standoff_m", 1200),
+        ("servo", "orbit_m_s", -200),
+    ],
+)
+def test_a_value_in_another_unit_is_refused_in_file_and_option(tmp_path, setting):
+    branch, name, value = setting
+    with pytest.raises(UsageError, match=rf"'.*': .*{name} must be at most .*, not {value}: check its unit"):
+        read_settings(file_of(tmp_path, f"[{branch}]\n{name} = {value}\n"))
+    with pytest.raises(UsageError, match=rf"^{branch} setting {name} must be at most"):
+        run_command(f"--{branch}.{name.replace('_', '-')}={value}")
+
+
+@pytest.mark.parametrize("name", [f.name for f in fields(Limits) if f.name != "disobey_after_s"])
+def test_a_limit_in_another_unit_is_refused(name):
+    """Its largest value is allowed, 0.1 % more is not."""
+    beside = {"floor_m": 1.0} if name == "ceiling_m" else {}
+    if name != "floor_m":  # which must lie below the ceiling
+        Limits(**{name: MOST[name]}, **beside)
+    with pytest.raises(ValueError, match=rf"limit {name} must be at most .*: check its unit"):
+        Limits(**{name: 1.001 * MOST[name]}, **beside)
 
 
 class Still:

@@ -13,7 +13,7 @@ from pathlib import Path
 from follow.cli.described import sentences, summary, unit
 from follow.cli.settings import literal
 from follow.config import MOUNT_DEG, PRESETS, Config
-from follow.safety.limits import Limits
+from follow.safety.limits import MOST, Limits
 
 DOCS = Path(__file__).parents[2] / "docs"
 HEAD = """\
@@ -67,14 +67,17 @@ def limits_page() -> str:
         "Generated from `follow/safety/limits.py` by `python -m tools.docs.settings`. On the command line: "
         "`--limits.speed-m-s 2`.",
         "",
-        "| limit | default | meaning and source |",
-        "|---|---|---|",
+        "A value beyond its largest is refused: it is usually one in another unit.",
+        "",
+        "| limit | default | largest | meaning and source |",
+        "|---|---|---|---|",
     ]
     defaults = Limits()
     for name, sentence in sentences(Limits).items():
         default = getattr(defaults, name)
         shown = "derived" if default is None else f"{default:g} {unit(name)}".strip()
-        lines.append(f"| `{name}` | {shown} | {sentence} |")
+        most = f"{MOST[name]:g}" if name in MOST else "any"
+        lines.append(f"| `{name}` | {shown} | {most} | {sentence} |")
     return "\n".join(lines) + "\n"
 
 
