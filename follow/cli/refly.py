@@ -25,7 +25,14 @@ from follow.recording.recorder import Recorder
 from follow.recording.refly import RecordedFlight, RecordedMeter, RecordedTracker
 from follow.recording.summary import Figures
 from follow.safety.gate import Safety
+from follow.safety.limits import LONG_S
 from racf.commandline import UsageError
+
+NEVER_S = 1e9  # longer than any flight
+NOT_FLOWN = (
+    "other settings: the recorded vehicle did not fly what is sent now, so nothing ends because it does not obey or "
+    "does not reach its target"
+)
 
 
 def refly(command: ReflyCommand) -> None:
@@ -37,11 +44,14 @@ def refly(command: ReflyCommand) -> None:
     flown, was = as_toml(command.config), as_toml(layered(flown_with(command.flight)))
     refuse_another_camera(was, flown)
     same = without_record(flown) == without_record(was)
+    config = command.config if same else unanswered(command.config)
     terminal = Terminal()
     with claimed(out):
         keep_flight(out, terminal)
+        if not same:
+            terminal.report(NOT_FLOWN)
         difference = Difference(len(recorded.rounds))
-        setup = replace(recorded.setup, settings=flown)
+        setup = replace(recorded.setup, settings=as_toml(config))
         clock = None if recorded.unix_s is None else lambda: recorded.unix_s or 0.0
         record = Recorder(
             out,
@@ -58,7 +68,7 @@ def refly(command: ReflyCommand) -> None:
             recorder.settings(flown, command.config.camera.calibration)
             flight = RecordedFlight(recorded.rounds)
             ticks = terminal.progress(
-                compared(again(recorded, flight, command.config), recorded, difference), flight.left, "refly"
+                compared(again(recorded, flight, config), recorded, difference), flight.left, "refly"
             )
             finished = fly(ticks, recorder, terminal.report, lambda _tick: flight.truth())
             figures = recorder.close(Figures(refly_differs=difference.rounds))
@@ -67,6 +77,11 @@ def refly(command: ReflyCommand) -> None:
     conclude(figures, out, terminal, as_json=command.json, finished=finished, failure=recorder.failure)
     if same and difference.rounds:
         raise ValueError(f"the recorded settings do not give the recorded outcome: {difference.sentence(same=True)}")
+
+
+def unanswered(config: Config) -> Config:
+    """The settings without what judges the vehicle's answer to the setpoints: a recorded vehicle gives none."""
+    return replace(config, limits=replace(config.limits, disobey_after_s=NEVER_S, out_of_reach_s=LONG_S))
 
 
 def compare_pages(

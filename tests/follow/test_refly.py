@@ -158,6 +158,21 @@ def test_a_simulated_flight_flown_again_is_equal_to_the_last_bit_and_others_are_
     assert status == 0, err
 
 
+def test_with_other_settings_it_is_flown_to_the_end_and_says_that_the_vehicle_did_not_fly_them(
+    capfd, monkeypatch, tmp_path
+):
+    monkeypatch.setitem(SCENARIOS, "brief", replace(SCENARIOS["runner"], duration_s=6.0))
+    first, other, words = tmp_path / "first", tmp_path / "other", ("--record.no-pictures", "--json")
+    status, out, err = follow(capfd, "sim", "brief", "--out", first, *words)
+    assert (status, "did not fly" in err) == (0, False), err
+    count = json.loads(out)["setpoints"]
+    status, out, err = follow(capfd, "refly", first, "--out", other, "--servo.standoff-m", "30", *words)
+    assert (status, json.loads(out)["setpoints"]) == (0, count), err
+    assert err.count("the recorded vehicle did not fly what is sent now") == 1
+    status, out, err = follow(capfd, "refly", other, *words)  # what was switched off is recorded
+    assert (status, json.loads(out)["refly_differs"]) == (0, 0), err
+
+
 def test_an_outcome_that_is_not_the_recorded_one_is_an_error(capfd, brief, tmp_path):
     assert follow(capfd, "sim", brief, "--out", tmp_path, "--record.no-pictures")[0] == 0
     path = tmp_path / "messages.jsonl.gz"
