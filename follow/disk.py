@@ -3,6 +3,7 @@
 A disk that is full, slow or stalled costs what is written, never a round of the loop.
 """
 
+import errno
 import os
 import threading
 from collections import deque
@@ -14,6 +15,7 @@ from follow.messages import Notify
 
 WAITING_BYTES = 8_000_000  # that may wait for one file: ten minutes of rows or packets
 CLOSE_S = 30.0  # maximum wait at the end for a disk that does not answer
+FULL_BYTES = 2_000_000  # a disk with less room is full: the recording's images go to it in blocks of up to 1 MB
 
 
 class ByteFile(Protocol):
@@ -30,6 +32,35 @@ class ByteFile(Protocol):
     def close(self) -> object:
         """Close the file."""
         ...
+
+
+def unwritten(file: Path | str, error: Exception) -> str:
+    """One sentence for a file that is no longer written; the same one for every file of a folder whose disk is full."""
+    if isinstance(file, Path):
+        disk = os.statvfs(file.parent)
+        if getattr(error, "errno", 0) == errno.ENOSPC or disk.f_bavail * disk.f_frsize < FULL_BYTES:
+            return (
+                f"the disk of {file.parent} is full: its files are no longer written, what is in them stays, and the "
+                "flight goes on; make room before the next one"
+            )
+    return f"{file} is no longer written: {getattr(error, 'strerror', None) or error}; the flight goes on"
+
+
+class OnceEach:
+    """Passes on each line once, whoever reports it: a full disk breaks every file at about the same time."""
+
+    def __init__(self, report: Notify) -> None:
+        self._report = report
+        self._told: set[str] = set()
+        self._lock = threading.Lock()
+
+    def __call__(self, line: str) -> None:
+        """Report the line unless it was reported before."""
+        with self._lock:
+            is_new = line not in self._told
+            self._told.add(line)
+        if is_new:
+            self._report(line)
 
 
 def opened(path: Path) -> ByteFile:
@@ -101,12 +132,12 @@ class BackgroundFile:
                 self._break(error, len(batch))
                 return
 
-    def _break(self, error: OSError, unwritten: int) -> None:
+    def _break(self, error: OSError, count: int) -> None:
         with self._change:
             self._broken = True
-            self.lost += unwritten + len(self._waiting)
+            self.lost += count + len(self._waiting)
             self._waiting.clear()
-        self._report(f"{self.path} is no longer written: {error.strerror or error}; the flight goes on")
+        self._report(unwritten(self.path, error))
         try:
             self._file.close()
         except OSError:

@@ -34,6 +34,7 @@ from follow.control.reach import why_out_of_reach
 from follow.control.selector import Selector
 from follow.control.servo import Servo
 from follow.control.target import Target
+from follow.disk import OnceEach
 from follow.flight.finding import Finding
 from follow.flight.live_flight import LogForwarder, Parts, fly, preflight, unwaived
 from follow.flight.parameters import names
@@ -206,12 +207,13 @@ def fly_reported(
         keys = recording.enter_context(Keys())  # from now on keys are read, not echoed
         signing = Signing(command.signing_key) if command.signing_key else None
         starting = recording.enter_context(starting_log(command.out))
-        tlog = Tlog(starting)
+        told = OnceEach(terminal.report)
+        tlog = Tlog(starting, told)
         kind = DryRunLink if command.dry_run else MavlinkLink
         with connect(command.link, command.system_id, signing=signing, tlog=tlog, kind=kind) as link:
             flight = prepare(command, link, refusing_early(keys, terminal.report))
             keys.refuse_early(terminal.report)
-            recorder = recording.enter_context(begin_recording(command, flight.seen, starting, terminal, early))
+            recorder = recording.enter_context(begin_recording(command, flight.seen, starting, terminal, early, told))
             terminal.listeners.remove(keep)
             recorder.settings(as_toml(command.config, flight.seen.config, scene), command.config.camera.calibration)
             fly_prepared(command, flight, link, recorder, terminal.report, exchange)
@@ -291,7 +293,7 @@ def starting_log(out: Path) -> Generator[Path, None, None]:
 
 @contextlib.contextmanager
 def begin_recording(
-    command: RunCommand, seen: OpenCamera, starting: Path, terminal: Terminal, early: Sequence[str]
+    command: RunCommand, seen: OpenCamera, starting: Path, terminal: Terminal, early: Sequence[str], told: Notify
 ) -> Generator[Recorder, None, None]:
     """The recording of a flight that starts now: the last one is moved aside, and what was said is in it."""
     keep_flight(command.out, terminal)
@@ -300,7 +302,7 @@ def begin_recording(
     kept = kept_geometry(seen.config.servo, seen.down_rad)
     setup = Setup(seen.lens, seen.down_rad, as_toml(seen.config), about=about)
     record = partial(Recorder, waits=False, about=about, clock=time.time, desired=kept, setup=setup, view=command.view)
-    with record(command.out, command.config.record, terminal.report) as recorder:
+    with record(command.out, command.config.record, told) as recorder:
         for line in early:
             recorder.message(line)
         terminal.listeners.append(recorder.message)

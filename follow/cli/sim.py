@@ -17,6 +17,7 @@ from follow.config import CameraConfig, Config, resolve
 from follow.control.image_motion import ImageMotionMeter
 from follow.control.servo import Servo
 from follow.control.target import Target
+from follow.disk import OnceEach, unwritten
 from follow.flight.session import acquire, conclude, fly, keep_other_flight, kept_geometry, once
 from follow.loop import follow
 from follow.messages import Autopilot, Order, Tick
@@ -119,7 +120,8 @@ def simulate_into(flight: FlightSpec, terminal: Terminal, *, bar: bool) -> Flown
     keep_other_flight(flight.out, flown, terminal)
     kept, setup = kept_geometry(config.servo, down_rad), Setup(lens, down_rad, as_toml(config), about=about)
     record = partial(Recorder, waits=True, about=about, desired=kept, setup=setup, view=flight.view)
-    with camera, record(flight.out, config.record, terminal.report) as recorder:
+    told = OnceEach(terminal.report)
+    with camera, record(flight.out, config.record, told) as recorder:
         recorder.settings(as_toml(flight.config, config, flight.scene), flight.config.camera.calibration)
 
         def true_box(tick: Tick) -> Box | None:
@@ -139,7 +141,11 @@ def simulate_into(flight: FlightSpec, terminal: Terminal, *, bar: bool) -> Flown
         figures = recorder.close({"tracker": flight.tracker, **scored, **flown})
     if any(row.truth for row in referee.rows):  # else it was stopped before its first frame
         path = flight.out / "flight.png"
-        draw(path, flight.name, referee.rows, world, drawn.intrinsics, servo.config.standoff_m, strip)
+        try:
+            draw(path, flight.name, referee.rows, world, drawn.intrinsics, servo.config.standoff_m, strip)
+        except OSError as error:
+            path.unlink(missing_ok=True)
+            told(unwritten(path, error))
     return FlownFlight(figures, finished, recorder.failure)
 
 
@@ -218,12 +224,12 @@ def sim_all(command: SimCommand, configs: Mapping[str, Config], bare: Any, termi
     done = sorted(flown, key=lambda f: (scenarios.index(f[0].scenario), f[0].autopilot.value, f[0].seed))
     summaries = [figures for _, figures in done]
     written = table(summaries)
-    out.mkdir(parents=True, exist_ok=True)  # the flights of a cluster may be on other disks
-    (out / "all.txt").write_text(written)
     if command.json:
         result(summaries, as_json=True)
     else:
         sys.stdout.write(written)
+    out.mkdir(parents=True, exist_ok=True)  # the flights of a cluster may be on other disks
+    (out / "all.txt").write_text(written)
 
 
 def simulate_quietly(flight: FlightSpec) -> Figures:

@@ -106,7 +106,7 @@ def conclude(
     """
     terminal.flush()
     result(figures, as_json=as_json)
-    files = [name for name in FILES if (out / name).exists()]
+    files = [name for name in FILES if (out / name).exists() and (out / name).stat().st_size]
     look = f"; open it with: follow inspect {out}" if "flight.rrd" in files else ""
     terminal.report(f"recorded in {out}: {', '.join(files)}{look}")
     if failure:

@@ -8,6 +8,7 @@ import struct
 from pathlib import Path
 
 from follow.disk import CLOSE_S, BackgroundFile
+from follow.messages import Notify
 
 log = logging.getLogger(__name__)
 
@@ -15,9 +16,9 @@ log = logging.getLogger(__name__)
 class Tlog:
     """Appends packets to a file, in a thread of its own.  A full or stalled disk costs packets of the log only."""
 
-    def __init__(self, path: Path):
+    def __init__(self, path: Path, report: Notify = log.warning):
         self.path = path
-        self._file = BackgroundFile(path, log.warning)
+        self._file = BackgroundFile(path, report)
 
     @property
     def lost(self) -> int:

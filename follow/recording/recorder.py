@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from typing_extensions import Self
 
-from follow.disk import BackgroundFile
+from follow.disk import BackgroundFile, OnceEach
 from follow.messages import Notify, Tick
 from follow.ranges import require_numbers
 from follow.recording.exact import ExactWriter, Setup
@@ -104,7 +104,8 @@ class Recorder:
     ) -> None:
         self.out = out
         self.summary = Summary()
-        self._report, self._clock = report, clock
+        self._report = report = OnceEach(report)
+        self._clock = clock
         self._start_s: float | None = None
         self._start_unix_s: float | None = None
         self._t_s = 0.0

@@ -7,6 +7,7 @@ Curves are gathered and written in columns: a row of its own for each number wou
 # pyright: reportAttributeAccessIssue=false
 
 import math
+import os
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -14,9 +15,12 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+
+os.environ.setdefault("RUST_LOG", "warn,re_log_encoding=off")  # what it says of a full disk, we say in one sentence
 import rerun as rr
 from numpy.typing import NDArray
 
+from follow.disk import unwritten
 from follow.messages import NEVER, Mode, Setpoint, Tick
 from follow.recording.layout import BLUE, GREEN, GREY, MODE_COLOURS, ORANGE, PALE, RED, VIOLET, YELLOW, describe, layout
 from follow.recording.rows import Desired, LoggedTick, held_by
@@ -63,7 +67,7 @@ class RerunRecording:
     def __init__(
         self,
         connect: Callable[[rr.RecordingStream], object],
-        name: str,
+        name: Path | str,
         frames: FrameEncoder,
         about: str = "",
         desired: Desired | None = None,
@@ -142,7 +146,7 @@ class RerunRecording:
             self._recording.flush(timeout_sec=self._flush_timeout_s)
         except RuntimeError as error:  # Rerun writes the cause to its own log only
             BROKEN.append(self._recording)
-            raise OSError(f"{self._name} is no longer written: {error}; the flight goes on") from None
+            raise OSError(unwritten(self._name, error)) from None
 
     def close(self) -> None:
         """Write the rest and the file's index, then close the file."""
@@ -303,7 +307,7 @@ def to_file(path: Path, about: str, kind: Encoder, jpeg_quality: int, desired: D
         except RuntimeError as error:
             raise OSError(f"{path} cannot be written: {error}") from None
 
-    return RerunRecording(connect, str(path), encoder(kind, jpeg_quality), about, desired)
+    return RerunRecording(connect, path, encoder(kind, jpeg_quality), about, desired)
 
 
 def outlines(mask: NDArray[np.uint8], box: Box) -> list[NDArray[np.floating]]:

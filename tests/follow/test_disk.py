@@ -1,13 +1,19 @@
 """A disk that stalls or is full costs what is written, never the caller's time."""
 
+import errno
+import json
+import os
 import threading
+from dataclasses import replace
 
 import pytest
 
+from follow.cli.program import main
 from follow.disk import BackgroundFile, BackgroundTask
 from follow.link.signing import Signing
 from follow.link.tlog import Tlog
 from follow.recording.recorder import RecordConfig, Recorder
+from sim.scenarios import SCENARIOS
 from tests.follow.test_record_flight import tick
 
 
@@ -137,7 +143,41 @@ def test_an_error_of_the_disk_is_one_line_and_what_is_missing_is_counted(tmp_pat
     file.close()
     assert file.lost == 7
     assert len(lines) == 1
-    assert "No space left" in lines[0]
+    assert f"the disk of {tmp_path} is full" in lines[0]
+
+
+class SmallFile(StalledFile):
+    """A file on a disk with room for 20 kB."""
+
+    def write(self, data: bytes) -> None:
+        if len(self.content) + len(data) > 20_000:
+            raise full_disk()
+        self.content += data
+
+
+def full_disk(*_words: object) -> OSError:
+    return OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def test_a_simulation_on_a_full_disk_says_so_once_is_scored_and_keeps_what_it_has(tmp_path, monkeypatch, capfd):
+    disks: dict[str, SmallFile] = {}
+
+    def start(self, path, report, *_more, **_options):
+        original(self, path, report, open_file=lambda path: disks.setdefault(path.name, SmallFile()))
+
+    def draw(*_words):
+        raise full_disk()
+
+    original = BackgroundFile.__init__
+    monkeypatch.setattr(BackgroundFile, "__init__", start)
+    monkeypatch.setattr("follow.cli.sim.draw", draw)
+    monkeypatch.setitem(SCENARIOS, "brief", replace(SCENARIOS["walker"], duration_s=2.0))
+    assert main(["sim", "brief", "--out", str(tmp_path), "--record.no-pictures", "--json"]) == 0
+    out, err = capfd.readouterr()
+    assert err.count(f"the disk of {tmp_path} is full") == 1
+    assert "No space" not in err
+    assert json.loads(out)["in_view"] > 0.9
+    assert disks["ticks.csv"].content.count(b"\n") > 10
 
 
 def test_a_file_that_cannot_be_made_is_an_error_at_once(tmp_path):

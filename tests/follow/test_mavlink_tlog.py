@@ -32,5 +32,5 @@ def test_a_full_disk_ends_the_log_says_so_once_and_counts_what_is_missing(tmp_pa
         for _ in range(5):
             log.write(b"packet", 0.0)
         log.close()
-    assert [record.getMessage().count("No space left") for record in caplog.records] == [1]
+    assert [record.getMessage().count(" is full: ") for record in caplog.records] == [1]
     assert log.lost == 5
