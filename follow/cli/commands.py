@@ -54,7 +54,7 @@ class ReplayCommand:
     source: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")]
     """Video file, or folder of images."""
     target: str | None = None
-    """Box of the target, x,y,w,h in 0-based pixels of the first frame."""
+    """Box of the target, x,y,w,h in 0-based pixels of the first frame: 1 less in x and y than in a file of --truth."""
     truth: Path | None = None
     """File of annotated boxes, x,y,w,h in 1-based pixels. The first starts the tracker; all score it."""
     ptz: bool = False
@@ -380,7 +380,7 @@ def box_in(box: Box, width: int, height: int) -> str:
     try:
         return box.as_start(width, height)
     except ValueError as error:
-        raise UsageError(f"--target: {error}") from None
+        raise UsageError(f"--target (x,y,w,h in 0-based pixels): {error}") from None
 
 
 def box_of(text: str) -> Box:
@@ -388,4 +388,4 @@ def box_of(text: str) -> Box:
     try:
         return Box.parse(text)
     except ValueError as error:
-        raise UsageError(f"--target: {error}") from None
+        raise UsageError(f"--target (x,y,w,h in 0-based pixels): {error}") from None

@@ -40,11 +40,15 @@ def replay(command: ReplayCommand) -> None:
     if is_live(command.source):
         raise UsageError(f"replay plays files, not the live source {command.source!r}: use follow run")
     if command.truth is not None and not command.truth.is_file():
-        raise UsageError(f"--truth must be a file of annotations; {command.truth} is not a file")
+        raise UsageError(
+            f"--truth must be a file of annotations, x,y,w,h in 1-based pixels; {command.truth} is not a file"
+        )
     truth = Annotations(command.truth) if command.truth else None
     box = box_of(command.target) if command.target else truth.start if truth else None
     if box is None:
-        raise UsageError("what is to be followed? give --target x,y,w,h or --truth FILE")
+        raise UsageError(
+            "what is to be followed? give --target x,y,w,h (0-based pixels) or --truth FILE (1-based pixels)"
+        )
     with claimed(command.out):
         replay_into(command, box, truth)
 

@@ -22,10 +22,14 @@ class Annotations:
         try:
             self.rows: Boxes = read_boxes(path)
         except UnicodeDecodeError:
-            raise ValueError(f"{path} must be a text file with x,y,w,h in each row, and is not text") from None
+            raise ValueError(
+                f"{path} must be a text file with x,y,w,h in 1-based pixels in each row, and is not text"
+            ) from None
         start = self.box(0)
         if start is None:
-            raise ValueError(f"{path}, row 1: the first row must hold a box, not {_row(self.rows[0])}")
+            raise ValueError(
+                f"{path}, row 1: the first row must hold a box, x,y,w,h in 1-based pixels, not {_row(self.rows[0])}"
+            )
         self.start = start
 
     def box(self, index: int) -> Box | None:
