@@ -70,7 +70,7 @@ def refly(command: ReflyCommand) -> None:
             ticks = terminal.progress(
                 compared(again(recorded, flight, config), recorded, difference), flight.left, "refly"
             )
-            finished = fly(ticks, recorder, terminal.report, lambda _tick: flight.truth())
+            finished = fly(ticks, recorder, terminal.report, lambda _tick: flight.truth(), is_ordered=False)
             figures = recorder.close(Figures(refly_differs=difference.rounds))
         terminal.report(difference.sentence(same=same))
         compare_pages(command.flight, out, difference, settings_changed(was, flown), terminal, same=same)

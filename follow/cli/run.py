@@ -216,14 +216,14 @@ def fly_reported(
             recorder = recording.enter_context(begin_recording(command, flight.seen, starting, terminal, early, told))
             terminal.listeners.remove(keep)
             recorder.settings(as_toml(command.config, flight.seen.config, scene), command.config.camera.calibration)
-            fly_prepared(command, flight, link, recorder, terminal.report, exchange)
+            finished = fly_prepared(command, flight, link, recorder, terminal.report, exchange)
             autopilot = link.state().autopilot
         figures: Figures = {"tracker": command.tracker, "autopilot": autopilot.value if autopilot else ""}
         if tlog.lost:
             figures["packets_lost"] = tlog.lost
         figures = recorder.close({**figures, **flight.seen.score()})
     log.removeHandler(forwarder)
-    conclude(figures, command.out, terminal, as_json=command.json, finished=True, failure=recorder.failure)
+    conclude(figures, command.out, terminal, as_json=command.json, finished=finished, failure=recorder.failure)
 
 
 def unused_line(command: RunCommand) -> str:
@@ -316,8 +316,8 @@ def fly_prepared(
     recorder: Recorder,
     report: Notify,
     exchange: Exchange | None = None,
-) -> None:
-    """Build the parts and fly until the end."""
+) -> bool:
+    """Build the parts and fly until the end; False if --follow ordered FOLLOW, which never began: that is reported."""
     seen = flight.seen
     operator = Operator(report, command.follow, command.rc_channel, link.client.heard, flight.red)
     operator.watches_sticks = not command.dry_run
@@ -351,6 +351,10 @@ def fly_prepared(
                 take(tick)
 
         fly(Parts(camera, link, tracker, target, servo, safety, meter, detector), operator, see, command.seconds)
+    if command.follow and not operator.changes.followed:
+        report(operator.changes.early_end())
+        return False
+    return True
 
 
 def height_line(config: Config) -> str:

@@ -82,8 +82,18 @@ def kept_geometry(servo: ServoConfig, down_rad: float) -> Desired:
     return Desired(servo.standoff_m, servo.standoff_m * math.tan(min(max(down_rad, 0.0), STEEPEST_RAD)))
 
 
-def fly(ticks: Iterable[Tick], recorder: Recorder, report: Notify, truth: Callable[[Tick], Box | None]) -> bool:
-    """Record every tick and report every change of mode until the frames end; False if a person stopped it."""
+def fly(
+    ticks: Iterable[Tick],
+    recorder: Recorder,
+    report: Notify,
+    truth: Callable[[Tick], Box | None],
+    *,
+    is_ordered: bool = True,
+) -> bool:
+    """Record every tick and report every change of mode until the frames end.
+
+    False if a person stopped it, or if FOLLOW `is_ordered` and never began; both are reported.
+    """
     changes, finished = ModeChanges(report), True
     try:
         for tick in ticks:
@@ -94,7 +104,7 @@ def fly(ticks: Iterable[Tick], recorder: Recorder, report: Notify, truth: Callab
         finished = False
     if line := changes.early_end():
         report(line)
-    return finished
+    return finished and (changes.followed or not is_ordered)
 
 
 def conclude(
@@ -102,7 +112,7 @@ def conclude(
 ) -> None:
     """Print the figures and where the files are.
 
-    Raises KeyboardInterrupt if a person stopped the flight, RecordingError with the `failure` of the recording.
+    Raises StopReported for a flight that is not `finished`, RecordingError with the `failure` of the recording.
     """
     terminal.flush()
     result(figures, as_json=as_json)

@@ -3,8 +3,8 @@
 import re
 from dataclasses import dataclass, field
 
-from follow.messages import NEVER, Cause, Mode, Notify, Reason, Tick
-from follow.safety.modes import STREAMING
+from follow.messages import NEVER, Cause, Mode, Notify, Order, Reason, Tick
+from follow.safety.modes import FLYING
 from racf.box import tiny_line
 
 SAME_EVERY_S = 10.0  # what hinders FOLLOW is repeated no sooner, whatever its figures are: it may flicker
@@ -19,9 +19,10 @@ class ModeChanges:
     mode: Mode = Mode.OBSERVE
     reason: Reason | None = None
     began_t_s: float = NEVER
-    streamed: bool = False  # whether FOLLOW has begun
+    followed: bool = False  # whether FOLLOW has begun
+    hindrance: Reason | None = None  # the reason before the program left
     refused: Reason | None = None  # why the last order was refused or void
-    ended: str = ""  # when the last stream of setpoints ended, and why; empty while one is sent, or before the first
+    ended: str = ""  # when following ended last, and why; empty while it follows, or before
     tiny_told: bool = False
     hindered_t_s: dict[str, float] = field(default_factory=dict[str, float])  # when each hindrance was told
     doubt: str = ""  # who was found after a loss and is not taken, as it was told last
@@ -33,6 +34,8 @@ class ModeChanges:
         if self.began_t_s == NEVER:
             self.began_t_s = tick.state.t_s
         at_s = tick.state.t_s - self.began_t_s
+        if tick.instruction.order is not Order.LEAVE:
+            self.hindrance = self.reason
         if self.reason.cause in (Cause.ORDER_REFUSED, Cause.ORDER_VOID):
             self.refused = self.reason
         if not self.tiny_told and tick.track is not None and tick.track.found and (line := tiny_line(tick.track.box)):
@@ -49,15 +52,15 @@ class ModeChanges:
                 return
             self.hindered_t_s[words] = at_s
         self.report(f"{at_s:.1f} s: {self.mode.value} ({self.reason}), vehicle in {tick.state.mode or 'no known mode'}")
-        if self.mode in STREAMING:
-            self.streamed, self.ended = True, ""
-        elif before[0] in STREAMING:
+        if self.mode in FLYING:
+            self.followed, self.ended = True, ""
+        elif before[0] in FLYING:
             self.ended = f"{at_s:.1f} s: {self.reason}"
 
     def early_end(self) -> str:
-        """Why no setpoints are sent in the last round, as one line; empty while they are."""
-        if self.mode in STREAMING or self.began_t_s == NEVER:
+        """Why the vehicle does not follow in the last round, as one line; empty if it does."""
+        if self.mode in FLYING or self.began_t_s == NEVER:
             return ""
-        if self.streamed:
+        if self.followed:
             return f"following ended early, at {self.ended}"
-        return f"FOLLOW never began: {self.refused or self.reason}"
+        return f"FOLLOW never began: {self.refused or self.hindrance}"

@@ -8,6 +8,8 @@ from follow.operator.mode_changes import ModeChanges
 UNSEEN = Estimate(NEVER, 0.0, 0.0, 1.0, 0.0)
 BEGUN = [(Mode.READY, Reason(Cause.READY)), (Mode.FOLLOW, Reason(Cause.OBEYS)), (Mode.FOLLOW, Reason(Cause.OBEYS))]
 
+WAITS = Reason(Cause.ORDER_WAITS, "the key f")
+
 
 def reported(rounds: list[tuple[Mode, Reason]]) -> tuple[list[str], str]:
     lines: list[str] = []
@@ -35,6 +37,10 @@ def test_every_change_is_one_line_with_the_time_since_the_first_round():
         ([*BEGUN, (Mode.ENDED, Reason(Cause.LANDED))], "following ended early, at 1.5 s: the vehicle is on the ground"),
         ([(Mode.OBSERVE, Reason(Cause.NO_HEADING))] * 2, "FOLLOW never began: the heading is invalid"),
         ([*BEGUN, (Mode.ENDED, Reason(Cause.LANDED)), *BEGUN], ""),
+        (
+            [(Mode.ENGAGE, WAITS), (Mode.ENDED, Reason(Cause.REFUSED, "no GPS"))],
+            "FOLLOW never began: the autopilot refused: no GPS",
+        ),
         ([], ""),
     ],
 )

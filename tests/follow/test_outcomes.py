@@ -1,0 +1,46 @@
+"""What a program says at its end: whether FOLLOW began, by its exit status, and whether the flight was safe."""
+
+from dataclasses import replace
+
+import pytest
+
+from follow.cli.program import main
+from sim.clip import write
+from sim.scenarios import SCENARIOS
+from tests.support.real_flight import real_flight
+
+FAR = ("--limits.min-standoff-m", "50", "--servo.standoff-m", "60")  # FOLLOW is refused so near
+
+
+def outcome(capfd, *words: object) -> tuple[int, str, str]:
+    status = main([str(word) for word in (*words, "--record.no-pictures")])
+    return status, *capfd.readouterr()
+
+
+@pytest.fixture
+def source(monkeypatch, tmp_path, request) -> tuple[object, ...]:
+    if request.param == "sim":
+        monkeypatch.setitem(SCENARIOS, "brief", replace(SCENARIOS["walker"], duration_s=4.0))
+        return "sim", "brief", "--out", tmp_path / "out"
+    write(tmp_path / "clip.mp4", 120)
+    return "replay", tmp_path / "clip.mp4", "--truth", tmp_path / "clip.txt", "--out", tmp_path / "out"
+
+
+@pytest.mark.parametrize("source", ["sim", "replay"], indirect=True)
+def test_follow_that_never_began_is_a_failed_run_with_its_figures_and_one_line(capfd, source):
+    assert outcome(capfd, *source)[0] == 0
+    status, out, err = outcome(capfd, *source, *FAR)
+    assert status == 1
+    assert "setpoints" in out
+    assert err.count("FOLLOW never began: the order is void: the target is nearer than 50 m") == 1
+    status, _, err = outcome(capfd, "refly", source[-1])  # nobody orders anything here: it is equal, which is a success
+    assert (status, "is equal to the last bit" in err) == (0, True)
+
+
+@pytest.mark.realtime
+def test_an_order_of_the_command_line_that_is_never_granted_is_a_failed_run(tmp_path):
+    with real_flight(
+        "px4", tmp_path, options=["--follow", "--record.no-pictures"], settings=["COM_RC_OVERRIDE=1"], begins="observe"
+    ) as real:
+        assert real.application.end() == 1
+        assert real.application.said("FOLLOW never began: COM_RC_OVERRIDE is red")
