@@ -2,6 +2,6 @@
 
 import sys
 
-from follow.cli.program import main
+from follow.cli.start import main
 
 sys.exit(main())

@@ -1,9 +1,11 @@
 """What a program says at its end: whether FOLLOW began, by its exit status, and whether the flight was safe."""
 
+import sys
 from dataclasses import replace
 
 import pytest
 
+from follow.cli import start
 from follow.cli.program import main
 from sim.clip import write
 from sim.scenarios import SCENARIOS
@@ -44,3 +46,19 @@ def test_an_order_of_the_command_line_that_is_never_granted_is_a_failed_run(tmp_
     ) as real:
         assert real.application.end() == 1
         assert real.application.said("FOLLOW never began: COM_RC_OVERRIDE is red")
+
+
+class Interrupted:
+    """Ctrl-C while the program is imported."""
+
+    @staticmethod
+    def find_spec(name: str, *_more: object) -> None:
+        if name == "follow.cli.program":
+            raise KeyboardInterrupt
+
+
+def test_ctrl_c_during_the_imports_ends_in_one_line(capfd, monkeypatch):
+    monkeypatch.delitem(sys.modules, "follow.cli.program")
+    monkeypatch.setattr(sys, "meta_path", [Interrupted, *sys.meta_path])
+    assert start.main() == 1
+    assert capfd.readouterr().err == "follow: error: stopped before it was done (Ctrl-C)\n"
