@@ -109,7 +109,8 @@ def result(figures: Figures | list[Figures], *, as_json: bool) -> None:
     if _is_stopped_terminal():
         return
     try:
-        sys.stdout.write(listed(figures) if isinstance(figures, dict) and not as_json else _json(figures))
+        for_a_person = listed(figures) + verdict(figures) if isinstance(figures, dict) and not as_json else ""
+        sys.stdout.write(for_a_person or _json(figures))
         sys.stdout.flush()
     except OSError as error:
         if error.errno != errno.EIO:
@@ -131,6 +132,18 @@ def listed(figures: Figures) -> str:
             shown = ", ".join(f"{k} {_digits(v)}" for k, v in value.items()) or "none"
         text += f"{name:<{width}}  {shown}\n"
     return text
+
+
+def verdict(figures: Figures) -> str:
+    """Whether a flight whose truth is known was safe, and why, as one line; "" for any other flight."""
+    if "violations" not in figures:
+        return ""
+    if passed := figures["violations"]:
+        rounds = ", ".join(f"{name} in {count} rounds" for name, count in passed.items())
+        return f"was it safe: no, because it passed {rounds}\n"
+    near = {"the target": figures.get("nearest_m"), "anybody else": figures.get("nearest_other_m")}
+    nearest = ", ".join(f"{_digits(m)} m to {whom}" for whom, m in near.items() if m is not None)
+    return f"was it safe: yes by its limits, because it passed none; nearest: {nearest}\n"
 
 
 def _digits(value: object) -> object:

@@ -7,6 +7,7 @@ import pytest
 
 from follow.cli import start
 from follow.cli.program import main
+from follow.operator.terminal import result
 from sim.clip import write
 from sim.scenarios import SCENARIOS
 from tests.support.real_flight import real_flight
@@ -37,6 +38,32 @@ def test_follow_that_never_began_is_a_failed_run_with_its_figures_and_one_line(c
     assert err.count("FOLLOW never began: the order is void: the target is nearer than 50 m") == 1
     status, _, err = outcome(capfd, "refly", source[-1])  # nobody orders anything here: it is equal, which is a success
     assert (status, "is equal to the last bit" in err) == (0, True)
+
+
+@pytest.mark.parametrize(
+    ("figures", "line"),
+    [
+        (
+            {"violations": {}, "nearest_m": 9.4521},
+            "yes by its limits, because it passed none; nearest: 9.452 m to the target",
+        ),
+        (
+            {"violations": {}, "nearest_m": 9.0, "nearest_other_m": 0.5},
+            "yes by its limits, because it passed none; nearest: 9 m to the target, 0.5 m to anybody else",
+        ),
+        (
+            {"violations": {"floor_m": 3, "min_standoff_m": 12}, "nearest_m": 1.0},
+            "no, because it passed floor_m in 3 rounds, min_standoff_m in 12 rounds",
+        ),
+    ],
+)
+def test_a_flight_whose_truth_is_known_ends_with_a_verdict_for_a_person_alone(capfd, figures, line):
+    result(figures, as_json=False)
+    assert capfd.readouterr().out.splitlines()[-1] == f"was it safe: {line}"
+    result(figures, as_json=True)
+    assert "was it safe" not in capfd.readouterr().out
+    result({"seconds": 3.0}, as_json=False)  # footage or a real camera: nobody knows
+    assert "was it safe" not in capfd.readouterr().out
 
 
 @pytest.mark.realtime
