@@ -7,7 +7,7 @@ from follow.messages import NEVER, Cause, Mode, Notify, Order, Reason, Tick
 from follow.safety.modes import FLYING
 from racf.box import tiny_line
 
-SAME_EVERY_S = 10.0  # what hinders FOLLOW is repeated no sooner, whatever its figures are: it may flicker
+SAME_EVERY_S = 10.0  # what hinders FOLLOW, or an order waits for, is repeated no sooner: it and its figures may flicker
 FIGURES = re.compile(r" \([^)]*\)")
 
 
@@ -46,7 +46,9 @@ class ModeChanges:
             self.report(f"{at_s:.1f} s: {tick.estimate.doubt}")
         if (self.mode, self.reason) == before:
             return
-        if before[0] is Mode.OBSERVE is self.mode and self.reason.cause is Cause.NOT_READY:
+        if self.reason.cause is Cause.ORDER_WAITS is not (before[1] and before[1].cause):
+            self.hindered_t_s.clear()  # a new order: what it waits for is news
+        if before[0] is Mode.OBSERVE is self.mode and self.reason.cause in (Cause.NOT_READY, Cause.ORDER_WAITS):
             words = FIGURES.sub("", str(self.reason))
             if at_s - self.hindered_t_s.get(words, NEVER) < SAME_EVERY_S:
                 return

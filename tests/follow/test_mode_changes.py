@@ -53,3 +53,11 @@ def test_a_hindrance_that_flickers_with_new_figures_is_told_every_ten_seconds_at
     rounds = [(Mode.OBSERVE, Reason(Cause.NOT_READY, texts[n % 2].format(n))) for n in range(60)]  # half a second each
     lines, _ = reported(rounds)
     assert [line.split(" ")[0] for line in lines] == ["0.0", "0.5", "10.0", "10.5", "20.0", "20.5"]
+
+
+def test_an_order_that_waits_for_what_flickers_is_told_once_for_each_kind_and_again_for_each_order():
+    words = "the key f; waits 3 s for: the image does not {} ({} of 5 px)"
+    waits = [(Mode.OBSERVE, Reason(Cause.ORDER_WAITS, words.format(("move", "turn")[n % 2], n))) for n in range(6)]
+    void = (Mode.OBSERVE, Reason(Cause.ORDER_VOID, "the image does not turn"))
+    lines, _ = reported([*waits, void, *waits])
+    assert [line.split(" ")[0] for line in lines] == ["0.0", "0.5", "3.0", "3.5", "4.0"]
