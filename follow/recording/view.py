@@ -8,10 +8,6 @@ without a decoder, and a radio link carries them.
 # Rerun's own check of the Python version hides its names from a type checker that is set to Python 3.10.
 # pyright: reportAttributeAccessIssue=false
 
-import ipaddress
-import socket
-import urllib.parse
-
 import rerun as rr
 
 from follow.messages import Notify
@@ -19,7 +15,7 @@ from follow.recording.layout import layout
 from follow.recording.rerun_log import Pace, RerunRecording
 from follow.recording.rows import Desired
 from follow.recording.video_encoder import JpegEncoder
-from follow.recording.viewer import HERE, WEB
+from follow.recording.viewer import HERE, WEB, own_address, page_address
 
 FRAMES_HZ = 10.0
 JPEG_QUALITY = 60  # some 25 kB at 640x360: 2 Mbit/s
@@ -46,20 +42,3 @@ def to_viewer(view: str, about: str, desired: Desired | None, report: Notify) ->
             raise OSError(f"the view {view} cannot be opened: {error}; the flight goes on") from None
 
     return RerunRecording(connect, f"the view {view}", JpegEncoder(JPEG_QUALITY), about, desired, PACE, FLUSH_TIMEOUT_S)
-
-
-def page_address(url: str, host: str) -> str:
-    """The viewer's page with the stream of `url`, both by the address `host` at which others reach this computer."""
-    there = urllib.parse.urlsplit(url)
-    stream = there._replace(netloc=f"{host}:{there.port}").geturl()
-    return f"http://{host}:9090/?url={urllib.parse.quote(stream)}"
-
-
-def own_address() -> str:
-    """The address of this computer in its network; 127.0.0.1 if it is in none.  Sends nothing."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.connect((str(ipaddress.IPv4Address("192.0.2.1")), 9))  # a documentation address: no packet leaves
-        except OSError:
-            return "127.0.0.1"
-        return str(probe.getsockname()[0])

@@ -1,6 +1,7 @@
 """Opens a recording in Rerun's viewer."""
 
 import getpass
+import ipaddress
 import os
 import shutil
 import socket
@@ -10,6 +11,7 @@ import urllib.parse
 from pathlib import Path
 
 HERE, WEB = "here", "web"
+SERVED = "rerun+http://127.0.0.1:9876/proxy"  # by `rerun --serve-web`
 SCHEMES = ("rerun+http", "rerun+https", "rerun")
 
 
@@ -46,7 +48,7 @@ def show(path: Path) -> None:
         raise OSError(
             f"no display here. On a computer with one: scp {user}@{host}:{found.resolve()} . && rerun {found.name} "
             f"(pip install rerun-sdk). Or here: rerun --serve-web --bind 0.0.0.0 {found}, "
-            f"then http://{host}:9090 in a browser. Or follow report {found.parent}"
+            f"then {page_address(SERVED, own_address())} in a browser. Or follow report {found.parent}"
         )
     status = subprocess.run([program, str(found)], check=False).returncode
     if status != 0:
@@ -72,3 +74,20 @@ def check_view(view: str) -> None:
         known = False
     if not known or parts.path.rstrip("/") != "/proxy":
         raise ValueError(f"--view must be here, web or rerun+http://HOST:PORT/proxy, not {view!r}")
+
+
+def page_address(url: str, host: str) -> str:
+    """The viewer's page with the stream of `url`, both by the address `host` at which others reach this computer."""
+    there = urllib.parse.urlsplit(url)
+    stream = there._replace(netloc=f"{host}:{there.port}").geturl()
+    return f"http://{host}:9090/?url={urllib.parse.quote(stream)}"
+
+
+def own_address() -> str:
+    """The address of this computer in its network; 127.0.0.1 if it is in none.  Sends nothing."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect((str(ipaddress.IPv4Address("192.0.2.1")), 9))  # a documentation address: no packet leaves
+        except OSError:
+            return "127.0.0.1"
+        return str(probe.getsockname()[0])

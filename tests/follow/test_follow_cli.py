@@ -205,6 +205,7 @@ def test_inspect_without_a_display_says_what_to_do(capfd, tmp_path, monkeypatch)
     status, _, err = follow(capfd, "inspect", tmp_path)
     assert status == 1
     assert "no display" in err
+    assert ":9090/?url=rerun%2Bhttp%3A//" in err, "without it the page shows no recording"
     assert "rerun flight.rrd" in err
 
 
