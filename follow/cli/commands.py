@@ -76,7 +76,7 @@ class ReplayCommand:
     for_: ForWhom = None
     """Kind of target: sets its size, the stand-off and the speed limit. The settings file and options override each."""
     settings: Path | None = None
-    """TOML file of the settings listed below, as docs/service/settings.toml. Options override it."""
+    """TOML file of the settings that --help-all lists, as docs/service/settings.toml. Options override it."""
     config: Settings = field(default_factory=Config)
 
 
@@ -130,7 +130,7 @@ class SimCommand:
     for_: ForWhom = None
     """Kind of target: sets its size, the stand-off and the speed limit. The settings file and options override each."""
     settings: Path | None = None
-    """TOML file of the settings listed below, as docs/service/settings.toml. Options override it."""
+    """TOML file of the settings that --help-all lists, as docs/service/settings.toml. Options override it."""
     config: Settings = field(default_factory=Config)
 
     def __post_init__(self) -> None:
@@ -221,7 +221,7 @@ class RunCommand:
     for_: ForWhom = None
     """Kind of target: sets its size, the stand-off and the speed limit. The settings file and options override each."""
     settings: Path | None = None
-    """TOML file of the settings listed below, as docs/service/settings.toml. Options override it."""
+    """TOML file of the settings that --help-all lists, as docs/service/settings.toml. Options override it."""
     config: Settings = field(default_factory=Config)
 
     def __post_init__(self) -> None:
@@ -265,7 +265,7 @@ class DoctorCommand:
     json: bool = False
     """Print the findings as JSON on standard output."""
     settings: Path | None = None
-    """TOML file of the settings listed below, as docs/service/settings.toml. Options override it."""
+    """TOML file of the settings that --help-all lists, as docs/service/settings.toml. Options override it."""
     config: Settings = field(default_factory=Config)
 
     def __post_init__(self) -> None:

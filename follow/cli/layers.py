@@ -40,6 +40,8 @@ PROG = "follow"
 ABOUT = "Keep a target in view: with PX4, ArduPilot, footage or a simulated flight."
 SCENE = "scene:"
 HELP = ("-h", "--help")
+HELP_ALL = "--help-all"
+MORE = "{} {} --help-all lists also the settings, as --limits.speed-m-s."
 ARG: Any = type(tyro.conf.arg())
 MARKERS = (tyro.conf.EnumChoicesFromValues,)  # px4, not PX4, is what is typed
 NAMES: dict[str, type[Any]] = {
@@ -58,11 +60,13 @@ METAVARS: dict[Any, str] = {bool: "", int: "INT", float: "FLOAT"}
 def read(words: Sequence[str], scenario: str | None = None) -> Command:
     """The command that the words spell, with its settings; `scenario` flies another than they name.
 
-    Raises UsageError, SystemExit(0) after `--help`.
+    Raises UsageError, SystemExit(0) after `--help`, which leaves the settings out, and `--help-all`.
     """
     if "--out=" in words or ("--out", "") in itertools.pairwise(words):
         raise UsageError("--out must be the name of a folder, not empty")
-    known = _commands(below(words, scenario))
+    is_short = any(word in HELP for word in words) and words[0] in NAMES
+    words = ["--help" if word == HELP_ALL else word for word in words]
+    known = _commands(below(words, scenario), is_short=is_short)
     parsed = parse(known, words, prog=PROG, description=ABOUT, config=MARKERS)
     kind = next(kind for kind in NAMES.values() if isinstance(parsed, _open(kind)))
     try:
@@ -163,10 +167,10 @@ def _glance(words: Sequence[str]) -> Any:
     return None
 
 
-def _commands(config: Config, *, needs_all: bool = True) -> Any:
+def _commands(config: Config, *, needs_all: bool = True, is_short: bool = False) -> Any:
     """The commands by name; a setting that the command line does not give is that of `config`.
 
-    Without `needs_all` a required word may be missing: it is then empty.
+    Without `needs_all` a required word may be missing: it is then empty.  `is_short` help leaves out the settings.
     """
     named: list[Any] = []
     for name, kind in NAMES.items():
@@ -175,8 +179,9 @@ def _commands(config: Config, *, needs_all: bool = True) -> Any:
         hints = get_type_hints(kind)
         missing = {f.name: hints[f.name] for f in fields(kind) if f.default is f.default_factory is MISSING}
         required = {name: tyro.MISSING if needs_all else hint() for name, hint in missing.items()}
-        default = _open(kind)(**required, **given)
-        named.append(Annotated[_open(kind), tyro.conf.subcommand(name, default=default)])
+        shown = _short(name, kind) if is_short and given else _open(kind)
+        default = shown(**required, **given)
+        named.append(Annotated[shown, tyro.conf.subcommand(name, default=default)])
     return Union[tuple(named)]  # noqa: UP007 - as many as there are names
 
 
@@ -196,6 +201,15 @@ def _open(kind: type[Any]) -> Any:
         parts.append((f.name, hint, default))
     doc = described.summary(kind, whole=kind in NAMES.values())
     return make_dataclass(kind.__name__, parts, namespace={"__doc__": doc}, kw_only=True)
+
+
+def _short(name: str, kind: type[Any]) -> Any:
+    """The open class without its settings in the help, which says how to see them."""
+    whole = _open(kind)
+    settings: Any = get_type_hints(whole)["config"]
+    hint = Annotated[settings, tyro.conf.arg(name=""), tyro.conf.Suppress]
+    doc = f"{whole.__doc__}\n\n{MORE.format(PROG, name)}"
+    return make_dataclass(kind.__name__, [("config", hint)], bases=(whole,), namespace={"__doc__": doc}, kw_only=True)
 
 
 def _with_help(hint: Any, plain: Any, name: str, said: str, *, is_required: bool) -> Any:

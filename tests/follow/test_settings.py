@@ -85,11 +85,12 @@ def test_every_option_is_explained_by_whole_sentences(kind):
             assert "..." not in said, name
 
 
+@pytest.mark.parametrize("option", ["--help", "--help-all"])
 @pytest.mark.parametrize("command", ["", *NAMES])
-def test_help_fits_a_terminal_of_eighty_columns_and_shows_no_none(command, capfd, monkeypatch):
+def test_help_fits_a_terminal_of_eighty_columns_and_shows_no_none(command, option, capfd, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     with pytest.raises(SystemExit) as left:
-        main([*command.split(), "--help"])
+        main([*command.split(), option])
     text = capfd.readouterr().out
     assert not left.value.code
     assert max(map(len, text.splitlines())) <= 80
@@ -97,17 +98,32 @@ def test_help_fits_a_terminal_of_eighty_columns_and_shows_no_none(command, capfd
     assert "Raises" not in text
 
 
+def test_the_help_is_short_and_says_how_to_see_the_settings(capfd, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "100")
+    for name, kind in NAMES.items():
+        shown: dict[str, str] = {}
+        for option in ("--help", "--help-all"):
+            with pytest.raises(SystemExit):
+                main([name, option])
+            shown[option] = capfd.readouterr().out
+        assert len(shown["--help"].splitlines()) < 100
+        if "config" in {f.name for f in fields(kind)}:
+            assert f"follow {name} --help-all lists also the settings" in shown["--help"]
+            assert "--limits.fence-m" not in shown["--help"]
+            assert "--limits.fence-m" in shown["--help-all"]
+
+
 def test_the_help_shows_a_default_with_its_unit_and_what_the_file_gives(capfd, tmp_path, monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
     path = file_of(tmp_path, "[limits]\nfence_m = 77.0\n")
     with pytest.raises(SystemExit):
-        main(["run", "--help"])
+        main(["run", "--help-all"])
     assert "(default: 300.0 m)" in " ".join(capfd.readouterr().out.replace("│", " ").split())
     with pytest.raises(SystemExit):
-        main(["run", "--settings", str(path), "--help"])
+        main(["run", "--settings", str(path), "--help-all"])
     assert "77.0 m)" in capfd.readouterr().out
     with pytest.raises(SystemExit):
-        main(["sim", "car", "-h"])
+        main(["sim", "car", "--help-all"])
     assert f"{SCENARIOS['car'].standoff_m} m)" in capfd.readouterr().out
 
 
