@@ -40,6 +40,7 @@ from follow.flight.live_flight import LogForwarder, Parts, fly, preflight, unwai
 from follow.flight.parameters import names
 from follow.flight.preflight import check_disk
 from follow.flight.session import Start, Update, conclude, keep_flight, kept_geometry, tracker_of
+from follow.flight.vehicle_checks import CHECKS
 from follow.geometry import Intrinsics
 from follow.link import Link
 from follow.link.connection import MavlinkLink, connect
@@ -158,10 +159,10 @@ def check_device(camera: CameraName) -> None:
 
 
 def check_waiver(name: str) -> None:
-    """Raise UsageError for a name written as a parameter's that no autopilot's check has."""
-    known = [parameter for autopilot in Autopilot for parameter in names(autopilot)]
-    if name.isupper() and name not in known:
-        begin = [parameter for parameter in known if parameter.startswith(name)]
+    """Raise UsageError for a name that no check has, on either autopilot."""
+    known = [*CHECKS, *(parameter for autopilot in Autopilot for parameter in names(autopilot))]
+    if name not in known:
+        begin = [check for check in known if name and check.startswith(name)]
         near = ", ".join(begin or difflib.get_close_matches(name, known, cutoff=0.5) or known)
         raise UsageError(f"--waive {name} is not a check; near it are {near}")
 

@@ -21,6 +21,12 @@ LEAST_HZ = {
     "LOCAL_POSITION_NED": 5.0,  # ... 500 ms
     "EXTENDED_SYS_STATE": 0.5,  # without it the vehicle counts as landed
 }
+CHECKS = (
+    *("autopilot", "battery", "clock", "companions", "disk", "identity", "joystick", "link", "remote-control"),
+    *("second-sender", "sending", "signing", "simulator", "timesync", "vehicles", *map(str.lower, LEAST_HZ)),
+)
+"""Names of the checks before a flight, beside those of the autopilot's parameters."""
+
 BATTERY_PERCENT = 30
 OLDEST: dict[Autopilot, Firmware] = {Autopilot.PX4: (1, 14), Autopilot.ARDUPILOT: (4, 5)}  # what the tables know
 

@@ -1,11 +1,16 @@
 """What the start of a flight refuses before anything is moved, keeps of the last one, and says when it is stopped."""
 
+import inspect
 import json
+import re
 from dataclasses import replace
 
 import pytest
 
 from follow.cli.program import main
+from follow.flight import vehicle_checks
+from follow.flight.preflight import check_disk, check_time
+from follow.flight.vehicle_checks import CHECKS
 from sim.clip import write
 from sim.scenarios import SCENARIOS
 
@@ -68,6 +73,8 @@ def test_ctrl_c_in_a_flight_is_said_once(capfd, brief, tmp_path, monkeypatch):
         (("--link", "udpin://127.0.0.1:14540"), "a link is udpin:HOST:PORT"),
         (("--link", "udpin:127.0.0.1:70000"), "at most 65535"),
         (("--waive", "GF_MAX"), "near it are GF_MAX_"),
+        (("--waive", "batery"), "--waive batery is not a check; near it are battery"),
+        (("--waive", "zzzz"), "near it are autopilot, battery, clock, "),
         (("--camera", "rtsp:127.0.0.1/x"), "rtsp:127.0.0.1/x"),
         (("--servo.standoff-m", "2"), "servo.standoff_m 2 lies below limits.min_standoff_m 4"),
     ],
@@ -81,6 +88,13 @@ def test_what_no_vehicle_is_needed_to_refuse_is_refused_before_anything(capfd, t
     assert err.count("\n") == 1
     assert says in err
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("checks", [vehicle_checks, check_disk, check_time])
+def test_every_check_before_a_flight_can_be_waived_by_its_name(checks):
+    found = re.findall(r'Finding\("([\w-]+)"', inspect.getsource(checks))
+    assert found
+    assert set(found) <= set(CHECKS)
 
 
 def test_a_stand_off_below_the_gates_minimum_is_refused_until_that_is_lowered(capfd, brief, tmp_path):
