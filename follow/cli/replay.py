@@ -19,7 +19,7 @@ from follow.control.target import Target
 from follow.flight.session import acquire, conclude, fly, keep_flight, kept_geometry, once
 from follow.link.replay import ReplayLink
 from follow.loop import follow
-from follow.messages import Order
+from follow.messages import Cause, Notify, Order
 from follow.operator.terminal import Terminal
 from follow.recording.exact import Setup
 from follow.recording.folder import claimed
@@ -93,7 +93,7 @@ def replay_into(command: ReplayCommand, box: Box, truth: Annotations | None) -> 
             # No meter: the motion of the camera that filmed the footage is unknown, so the image contradicts nothing.
             ticks = follow(camera, link, tracker, target, servo, safety, once(Order.FOLLOW))
             ticks = terminal.progress(ticks, footage.rounds, "replay")
-            finished = fly(ticks, recorder, terminal.report, score.add)
+            finished = fly(ticks, recorder, pretended(terminal.report), score.add)
             if line := score.shortfall():
                 terminal.report(line)
             if any(link.refused.values()):
@@ -101,6 +101,11 @@ def replay_into(command: ReplayCommand, box: Box, truth: Annotations | None) -> 
             flown: Figures = {"tracker": command.tracker, "autopilot": command.autopilot.value}
             figures = recorder.close({**flown, **score.figures()})
     conclude(figures, command.out, terminal, as_json=command.json, finished=finished, failure=recorder.failure)
+
+
+def pretended(report: Notify) -> Notify:
+    """`report` for footage, where no autopilot is there to obey."""
+    return lambda line: report(line.replace(Cause.OBEYS.value, "a pretended vehicle obeys"))
 
 
 def windowed(footage: ReplayCamera, link: ReplayLink, target: Box, config: Config) -> WindowCamera:

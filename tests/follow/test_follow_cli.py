@@ -63,7 +63,7 @@ def test_replay_prints_its_summary_and_nothing_else(capfd, footage, tmp_path):
     assert 50 < summary["auc"] <= 100
     assert set(summary["tick_ms"]) == set(summary["tracker_ms"]) == {"p50", "p99", "max"}
     assert f"follow inspect {tmp_path}" in " ".join(err.split())
-    assert err.count(" s: follow (the autopilot obeys), vehicle in OFFBOARD") == 1
+    assert err.count(" s: follow (a pretended vehicle obeys), vehicle in OFFBOARD") == 1
     rerun = Path(sys.executable).with_name("rerun")
     subprocess.run([rerun, "rrd", "verify", tmp_path / "flight.rrd"], check=True, capture_output=True, timeout=60)
 
