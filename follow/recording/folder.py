@@ -33,7 +33,8 @@ def claimed(out: Path) -> Generator[None, None, None]:
         if not os.access(out, os.W_OK | os.X_OK):
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
     except OSError as error:
-        raise OSError(f"--out {str(out)!r} must be a folder that can be written: {error.strerror}") from None
+        why = "it is a file" if isinstance(error, FileExistsError) else error.strerror
+        raise OSError(f"--out {str(out)!r} must be a folder that can be written: {why}") from None
     try:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -159,7 +159,7 @@ def test_ctrl_c_writes_everything_up_to_there(capfd, footage, tmp_path, monkeypa
         (("sim", "--seed", "1.5"), 2, "--seed must be a whole number, not '1.5'"),
         (("sim", "--autopilot", "pixhawk"), 2, "--autopilot must be one of ardupilot, px4, not 'pixhawk'"),
         (("replay", "x", "--truth", "."), 2, "--truth must be a file of annotations, x,y,w,h in 1-based pixels"),
-        (("sim", "--out", __file__), 1, f"--out {__file__!r} must be a folder"),
+        (("sim", "--out", __file__), 1, f"--out {__file__!r} must be a folder that can be written: it is a file"),
         (("doctor", "--link", "udpin:127.0.0.1:0", "--out", __file__), 2, "--out must be a folder"),
         (("sim", "--tracker", "racff"), 2, "racf, racf-, racf--, bacf, arcf-hc, csrt, kcf, mil, nano, vit"),
         ((), 2, "replay"),
