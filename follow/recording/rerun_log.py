@@ -7,7 +7,6 @@ Curves are gathered and written in columns: a row of its own for each number wou
 # pyright: reportAttributeAccessIssue=false
 
 import math
-import os
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -15,8 +14,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-
-os.environ.setdefault("RUST_LOG", "warn,re_log_encoding=off")  # what it says of a full disk, we say in one sentence
 import rerun as rr
 from numpy.typing import NDArray
 

@@ -90,6 +90,7 @@ class Rig:
     desired: Callable[[Setpoint], Setpoint] = lambda desired: desired
     samples: list[Sample] = field(default_factory=list)
     ticks: list[Tick] = field(default_factory=list)
+    ticks_before: int = 0  # the fault; it may be one of the clock
     lines: list[str] = field(default_factory=list)
     error: Exception | None = None
     chance: random.Random = field(default_factory=lambda: random.Random(0))
@@ -144,6 +145,7 @@ class Rig:
         for _ in range(SUBSTEPS):
             before, self.t_s = self.t_s, self.t_s + seconds / SUBSTEPS
             if before < self.fault_t_s <= self.t_s:
+                self.ticks_before = len(self.ticks)
                 self.inject(self)
             self.system.step(self.t_s)
             for packet in self.to_client(self.system.take()):
@@ -278,7 +280,7 @@ def outcome(rig: Rig) -> Outcome:
     last = moving[-1] + 1 if moving else 0
     stood = last < len(after) - round(0.5 / FRAME_S)
     distance_m = sum(speed * FRAME_S for speed in speeds[:last])
-    before = [t for t in rig.ticks if t.state.t_s < rig.fault_t_s]
+    before = rig.ticks[: rig.ticks_before]
     end = next((s for s in after if s.t_s >= rig.end_t_s - FRAME_S), after[-1])
     north, east = rig.target_place(end.t_s)
     to_target_m = math.hypot(north - end.motion.north_m, east - end.motion.east_m)
