@@ -3,6 +3,7 @@
 import math
 import time
 from copy import deepcopy
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from racf.confidence import Confidence, Verdict, ramp
 from racf.flow import Flow
 from racf.growth import growth
 from racf.halt import Halt
+from racf.leaving import Leaving
 from racf.motion import Velocity
 from racf.params import Params, preset
 from racf.redetect import Redetection
@@ -59,8 +61,16 @@ class Racf:
         A target without edges in both directions is never found, not here either: see `racf.texture`.  An earlier
         target is forgotten.
         """
-        image, params = checked_start(image, box), self.params
+        image = checked_start(image, box)
         self._frame_shape = image.shape
+        self._leaving = Leaving()
+        if self.params.tighten:
+            self._leaving.start(image, box)
+        return self._start(image, box)
+
+    def _start(self, image: UInt8, box: Box) -> Track:
+        """Learn the target in `box`, and forget what was learned before."""
+        params = self.params
         self._box, inside = box, self._kept_inside(box)
         self._aspect = inside.w / inside.h
         self._filter = TranslationFilter(params, box, colour=image.ndim == 3 and params.colour_names)
@@ -102,6 +112,8 @@ class Racf:
                 self._velocity.forget()  # the target jumped here; that is not a velocity
                 was_lost = True
                 before = expected = grown = match.box
+        if verdict is Verdict.LOST:
+            self._leaving.forget()
         if params.coast and verdict is Verdict.LOST:
             self._coast(expected)
             self._remember(image, prior)
@@ -117,6 +129,10 @@ class Racf:
             self._halt.seen(before, self._box, ground, confidence)
         self._remember(image, prior)
         clock.lap("remember")
+        left = self._leaving.look(image, self._box)
+        clock.lap("leaving")
+        if left is not None:
+            return replace(self._start(image, self._kept_inside(left)), restarted=True, stage_ms=clock.laps)
         return self._track(grown, match, refinement, verdict, clock)
 
     def _learn(self, image: UInt8, match: Match, clock: "_Stopwatch") -> Refinement | None:

@@ -128,10 +128,15 @@ class Target:
 
     def forget(self) -> None:
         """Forget the target; the next box starts a new one."""
-        self.filter, self.box, self.seen_t_s, self.asked_t_s = None, None, NEVER, NEVER
-        self.sources, self.candidates, self.turning = GroundSources(), Candidates(), Turning()
-        self.regain, self.accepted, self.usual_psr = Regain(), 0, 0.0
+        self.begin_anew()
+        self.sources, self.asked_t_s = GroundSources(), NEVER
         self.waiting.clear()
+
+    def begin_anew(self) -> None:
+        """Forget what the boxes told, not the ground."""
+        self.filter, self.box, self.seen_t_s = None, None, NEVER
+        self.candidates, self.turning = Candidates(), Turning()
+        self.regain, self.accepted, self.usual_psr = Regain(), 0, 0.0
 
     def predict(self, state: VehicleState, t_s: float, found: Detections | None = None) -> Box | None:
         """Return the box where the target should appear in the frame of `t_s`; None: search around the last one.
@@ -181,6 +186,8 @@ class Target:
             self.waiting.append((t_s, track))
         while self.waiting and self.readable(self.waiting[0][0], state):
             t_s, track = self.waiting.popleft()
+            if track.restarted:  # the first box was not the target's, nor what was learned from it
+                self.begin_anew()
             if not (track.found and self.accept(track, t_s, self.pose(state, t_s))):
                 self.regain.miss()
             self.ask_ground(state, t_s)

@@ -8,6 +8,9 @@ from follow.safety.modes import FLYING
 from racf.box import tiny_line
 
 SAME_EVERY_S = 10.0  # what hinders FOLLOW, or an order waits for, is repeated no sooner: it and its figures may flicker
+LOOSE = (
+    "the box was loose, or beside the target: the tracker began anew on what moved in it; look whether that is yours"
+)
 FIGURES = re.compile(r" \([^)]*\)")
 
 
@@ -24,6 +27,7 @@ class ModeChanges:
     refused: Reason | None = None  # why the last order was refused or void
     ended: str = ""  # when following ended last, and why; empty while it follows, or before
     tiny_told: bool = False
+    loose_told: bool = False
     hindered_t_s: dict[str, float] = field(default_factory=dict[str, float])  # when each hindrance was told
     doubt: str = ""  # who was found after a loss and is not taken, as it was told last
 
@@ -41,6 +45,9 @@ class ModeChanges:
         if not self.tiny_told and tick.track is not None and tick.track.found and (line := tiny_line(tick.track.box)):
             self.tiny_told = True
             self.report(f"{at_s:.1f} s: {line}")
+        if not self.loose_told and tick.track is not None and tick.track.restarted:
+            self.loose_told = True
+            self.report(f"{at_s:.1f} s: {LOOSE}")
         doubt, self.doubt = self.doubt, tick.estimate.doubt.split(" (")[0]
         if self.doubt and self.doubt != doubt:
             self.report(f"{at_s:.1f} s: {tick.estimate.doubt}")

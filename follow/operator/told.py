@@ -37,6 +37,9 @@ WARNINGS = (Mode.COAST, Mode.SEARCH, Mode.HOLD, Mode.BRAKE, Mode.ENDED)
 QUIET = (Cause.SEEN, Cause.READY, Cause.OBEYS, Cause.STARTED, Cause.FRESH)
 """Causes that add nothing to what happens."""
 
+LOOSE = "box was loose: follows what moved in it"
+"""What the pilot reads when the tracker began anew."""
+
 
 class TextLink(Protocol):
     """Where texts and figures go; `follow.link.client.MavlinkClient` is one."""
@@ -84,6 +87,8 @@ class PilotTexts:
                 self.say(note.replace("limits.", ""))
             if note.startswith("not taken:") and self.is_news(text := note.split(" (")[0], t_s):
                 self.say(text, warns=True)
+        if tick.track is not None and tick.track.restarted and self.is_news(LOOSE, t_s):
+            self.say(LOOSE, warns=True)
         self.send(t_s)
         if t_s - self.values_t_s >= VALUES_EVERY_S and tick.estimate.seen_t_s > NEVER:
             self.values_t_s = t_s

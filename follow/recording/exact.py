@@ -29,7 +29,8 @@ from racf.track import Track
 VERSION = 1
 FLUSH_EVERY_S = 1.0
 GZIP = 31  # zlib's window bits for a gzip stream
-SEEN = ("box", "search", "psr", "apce", "confidence", "found", "refined")  # of a track; the rest is for display
+SEEN = ("box", "search", "psr", "apce", "confidence", "found", "refined", "restarted")
+"""Of a track; the rest is for display."""
 
 
 @dataclass(frozen=True, slots=True)

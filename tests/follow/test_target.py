@@ -369,3 +369,19 @@ def test_a_box_that_the_border_cuts_hardly_moves_the_range():
         return estimate.range_m
 
     assert abs(ranged(CAMERA.height + 12) - 12.0) < 0.6 * abs(ranged(CAMERA.height - 30) - 12.0)
+
+
+def test_where_the_tracker_began_anew_nothing_of_the_first_box_is_kept():
+    place, target = (11.0, 4.0), Target(CAMERA, DOWN)
+    states = [hovering(i * DT) for i in range(40)]
+    for state in states[:20]:
+        loose = target.update(seen(box_of(place, state).scaled(2.0)), state, state.t_s)
+    assert loose.range_m < 0.9 * math.hypot(*place)
+    for number, state in enumerate(states[20:]):
+        track = replace(seen(box_of(place, state)), restarted=number == 0, psr=20.0 if number else 0.0)
+        estimate = target.update(track, state, state.t_s)
+        if not number:
+            fresh = Target(CAMERA, DOWN).update(track, state, state.t_s)
+            assert estimate.range_m == pytest.approx(fresh.range_m)
+    assert estimate.seen_t_s == states[-1].t_s
+    assert estimate.range_m == pytest.approx(math.hypot(*place), rel=0.02)

@@ -12,7 +12,9 @@ from pymavlink.dialects.v20 import common as dialect
 from follow.link.packets import Packets
 from follow.messages import Cause, Decision, Mode, Reason
 from follow.operator.autopilot_texts import REPEAT_S, AutopilotTexts
-from follow.operator.told import PREFIX, TEXT_EVERY_S, PilotTexts, sentence
+from follow.operator.told import LOOSE, PREFIX, TEXT_EVERY_S, PilotTexts, sentence
+from racf.box import Box
+from racf.track import Track
 from tests.follow.test_consoles import GROUND, PAGE, Desk, Ears, tick
 
 LETTERS = 50
@@ -89,6 +91,16 @@ def test_never_more_than_one_text_a_second_whatever_happens(rounds):
         texts.see(of(mode, Reason(cause, "x", 1.0), t_s))
         at += [t_s] * (len(ears.texts) - before)
     assert all(b - a >= TEXT_EVERY_S for a, b in itertools.pairwise(at))
+
+
+def test_the_pilot_is_told_that_the_tracker_began_anew():
+    ears, box = Ears(), Box(100.0, 100.0, 40.0, 60.0)
+    texts = PilotTexts(ears)
+    for k in range(60):
+        track = Track(box, box, psr=20.0, apce=50.0, confidence=1.0, found=True, restarted=k == 5)
+        texts.see(replace(of(Mode.FOLLOW, Reason(Cause.OBEYS), 0.1 * k), track=track))
+    assert [text for text, _ in ears.texts].count(PREFIX + LOOSE) == 1
+    assert len(PREFIX + LOOSE) <= LETTERS
 
 
 class Autopilot:

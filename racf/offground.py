@@ -1,0 +1,167 @@
+"""Points of a box, followed from frame to frame, and how far each moved over the ground since the first.
+
+The ground is what most of a ring around the box agrees on, a similarity from one frame to the next (RANSAC); the ring's
+points are new in each frame, for the ground they begin on is soon out of the image, those in the box are the same ones
+until they are lost.  The flow is that of [Lucas and Kanade 1981], there and back as in `racf.flow`.
+"""
+
+import math
+from collections import deque
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from cv2.typing import MatLike
+from numpy.typing import NDArray
+
+from racf.box import Box
+from racf.patch import resample
+
+UInt8 = NDArray[np.uint8]
+Float32 = NDArray[np.float32]
+Float64 = NDArray[np.float64]
+Bool = NDArray[np.bool_]
+
+SIDE_PX, MOST_ZOOM = 72.0, 2.0  # the first box is drawn to this root of its area, but never larger than that
+POINTS, EDGE = 8, 9  # in the box in each direction, and along each edge of the ring
+AROUND = 0.35  # sides between the box and the ring, at least
+LOOK = 4  # half the side of the square by which a point's look is judged, px of the patch
+BACK_PX = 1.0  # furthest from where a point was, by the flow there and back
+LEAST_RING, LEAST_GROUND = 6, 0.4  # points of the ring, and share of them that agree on how the ground moved
+GROUND_PX, GROUND = 0.75, 0.01  # how near: px of the patch or sides
+SAME_LOOK = 0.6  # most difference of their looks from the first, squared, by the first's contrast: a correlation of 0.7
+ALIKE = 0.35  # how near points are to a common motion, of it
+NOW, LATELY = 5, 30  # frames
+OUTSIDE = 3  # points of the ring that moved so in these frames, all in all
+
+
+def _places(across: Float64) -> Float64:
+    """(n², 2): x, y of all crossings."""
+    return np.stack(np.meshgrid(across, across), axis=-1).reshape(-1, 2)
+
+
+# In sides of the box, from its centre, and of the ring.
+INSIDE = _places((np.arange(POINTS) + 0.5) / POINTS - 0.5)
+_RING = np.array([at for at in _places(np.linspace(-1.0, 1.0, EDGE)) if np.abs(at).max() > 1.0 - 1e-6])
+_LOOK = np.arange(-LOOK, LOOK + 1)
+_SEARCH = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)
+
+
+class OffGround:
+    """A grid of points (n, 2) of the box in `image`, (rows, columns[, 3]) in BGR or grey, in its pixels.
+
+    at: where they are; off: how far from where the ground would have taken them; seen: which are still followed.
+    grown: the ground's size by that at the start; noise: px that its points were off so far, one frame upon the other.
+    """
+
+    def __init__(self, image: UInt8, box: Box) -> None:
+        self._size = image.shape[1::-1]
+        self.sides, self.side = np.array([box.w, box.h]), math.sqrt(box.area)
+        self.zoom = min(MOST_ZOOM, SIDE_PX / self.side)
+        self._shape = np.maximum(np.round((self.sides + 2 * self.side) * self.zoom), 2 * LOOK + 2).astype(int)
+        self._window = 9 if min(box.w, box.h) * self.zoom < 30 else 13
+        self._centre, self._drift = np.array([box.centre_x, box.centre_y]), np.zeros(2)
+        self.at = self._centre + INSIDE * self.sides
+        self.off, self._step = np.zeros_like(self.at), np.zeros_like(self.at)
+        self.seen = np.all((self.at > 3) & (self.at < np.array(self._size) - 3), axis=1)
+        self.grown, self.noise = 1.0, 0.0
+        self._around, self._steps = deque[Float64](maxlen=LATELY), deque[Float64](maxlen=NOW)
+        self._patch = self._drawn(image, self._centre)
+        self._first = self._looked(self.at)
+
+    def follow(self, image: UInt8, box: Box) -> None:
+        """Follow them into the next image, in which the tracker is at `box`."""
+        there = np.array([box.centre_x, box.centre_y])
+        after = self._drawn(image, there)
+        away = np.maximum(self.sides / 2 + AROUND * self.side, self.sides / 2 + (self._window / 2 + 1) / self.zoom)
+        ring = self._centre + _RING * away
+        ring = ring[np.all((ring > 3) & (ring < np.array(self._size) - 3), axis=1)]
+        known = np.flatnonzero(self.seen)
+        points = np.vstack([self.at[known], ring])
+        if len(points) == 0:
+            return
+        guess = self._centre - there + self._drift + np.vstack([self._step[known], np.zeros_like(ring)])
+        found, good = self._followed(self._to_patch(points), guess * self.zoom, after)
+        places = (found - self._shape / 2 + 0.5) / self.zoom + there
+        on_ring = np.arange(len(points)) >= len(known)
+        self.seen[known[~good[: len(known)]]] = False
+        ground = self._ground(points[good & on_ring], places[good & on_ring])
+        known, moved = known[good[: len(known)]], good & ~on_ring
+        self.at[known] = places[moved]
+        if ground is not None:
+            self._step[known] = places[moved] - _mapped(ground, points[moved])
+            self._steps.append(self._step.copy())
+            self.off[known] = self.off[known] @ ground[:, :2].T + self._step[known]
+            self._drift = _mapped(ground, self._centre[None])[0] - self._centre
+            self.grown *= math.hypot(ground[0, 0], ground[1, 0])
+        self._patch, self._centre = after, there
+
+    def look_the_same(self, points: Bool) -> bool:
+        """Whether the first look of points is where they are, and not on the ground where they were."""
+        first, at, off = self._first[points], self.at[points], self.off[points]
+        here, there = (float(np.nansum((first - self._looked(places)) ** 2)) for places in (at, at - off))
+        return here <= SAME_LOOK * min(there, float(np.nansum(first**2)))
+
+    def come_from_outside(self, points: Bool) -> bool:
+        """Whether something around the box moved lately as these points do now."""
+        steps = [np.median(step[points], axis=0) for step in self._steps]
+        step = max(steps, key=lambda step: float(np.hypot(*step)))  # a slow one may rest in between
+        near = ALIKE * float(np.hypot(*step))
+        return sum(int(np.sum(np.linalg.norm(moved - step, axis=1) < near)) for moved in self._around) >= OUTSIDE
+
+    def _ground(self, before: Float64, after: Float64) -> Float64 | None:
+        """The similarity (2, 3) of most of the ring; None where it does not move as one."""
+        if len(before) < LEAST_RING:
+            return None
+        within = max(GROUND_PX / self.zoom, GROUND * self.side)
+        similarity, agree = cv2.estimateAffinePartial2D(before, after, ransacReprojThreshold=within)
+        if np.mean(agree) < LEAST_GROUND:  # none agrees where there is no similarity
+            return None
+        ground = np.asarray(similarity, np.float64)
+        self._around.append(after - _mapped(ground, before))
+        self.noise = math.hypot(self.noise, float(np.median(np.linalg.norm(after - _mapped(ground, before), axis=1))))
+        return ground
+
+    def _looked(self, at: Float64) -> Float32:
+        """(n, pixels): the squares around places (n, 2), less their means; NaN beyond the patch."""
+        x, y = np.rint(self._to_patch(at)).astype(int).T
+        wide, high = self._shape
+        inside = (x >= LOOK) & (y >= LOOK) & (x < wide - LOOK) & (y < high - LOOK)
+        x, y = np.clip(x, LOOK, wide - LOOK - 1), np.clip(y, LOOK, high - LOOK - 1)
+        squares = self._patch[y[:, None, None] + _LOOK[:, None], x[:, None, None] + _LOOK]
+        looks = squares.reshape(len(at), len(_LOOK) ** 2).astype(np.float32)
+        looks -= looks.mean(axis=1, keepdims=True)
+        looks[~inside] = np.nan
+        return looks
+
+    def _to_patch(self, at: Float64) -> Float64:
+        return (at - self._centre) * self.zoom + self._shape / 2 - 0.5
+
+    def _drawn(self, image: UInt8, centre: Float64) -> UInt8:
+        """What is around `centre`, in grey."""
+        wide, high = self._shape.tolist()
+        x, y = centre.tolist()
+        planes = resample(image, x, y, wide / self.zoom, high / self.zoom, wide, high)
+        if len(planes) == 1:
+            return planes[0]
+        return np.asarray(cv2.cvtColor(cv2.merge(list(planes)), cv2.COLOR_BGR2GRAY), np.uint8)
+
+    def _followed(self, points: Float64, guess: Float64, after: UInt8) -> tuple[Float32, Bool]:
+        """Where points (n, 2) of the patch went in the next, and which of them were followed there and back (n,)."""
+        at, ahead = points.astype(np.float32)[:, None], guess.astype(np.float32)[:, None]
+        found, seen, _ = self._flow(self._patch, after, at, at + ahead)
+        back, seen_back, _ = self._flow(after, self._patch, found, found - ahead)
+        good = (seen[:, 0] == 1) & (seen_back[:, 0] == 1) & (np.linalg.norm(back - at, axis=2)[:, 0] < BACK_PX)
+        inside = [np.all((of[:, 0] > 1) & (of[:, 0] < self._shape - 2), axis=1) for of in (at, found)]
+        return np.asarray(found, np.float32)[:, 0], good & inside[0] & inside[1]
+
+    def _flow(self, before: UInt8, after: UInt8, at: MatLike, ahead: MatLike) -> Sequence[MatLike]:
+        window, flags = (self._window, self._window), cv2.OPTFLOW_USE_INITIAL_FLOW
+        return cv2.calcOpticalFlowPyrLK(
+            before, after, at, ahead, winSize=window, maxLevel=2, criteria=_SEARCH, flags=flags
+        )
+
+
+def _mapped(similarity: Float64, points: Float64) -> Float64:
+    """Points (n, 2) through (2, 3)."""
+    return points @ similarity[:, :2].T + similarity[:, 2]
