@@ -15,7 +15,7 @@ class Track:
     box: the target's box; search: the region that was searched; both in the image's pixels.
     psr (peak to sidelobe ratio), apce (average peak-to-correlation energy): how sharp the response is.
     confidence: how far to trust the response, 0..1; found: the tracker's own verdict, False while the target is lost.
-    restarted: whether the first box was loose or beside the target, and the tracker began anew on what moved in it.
+    restarted: whether the first box was loose or beside the target, and the tracker started again on what moved in it.
     refined: whether the box of the segmentation was accepted.
     response: (rows, columns) float32, 1 for a perfect match; its middle is where the target was expected (the last box,
         the prior or the predicted place), or the candidate's place if a lost target was searched for further away.

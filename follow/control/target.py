@@ -128,15 +128,10 @@ class Target:
 
     def forget(self) -> None:
         """Forget the target; the next box starts a new one."""
-        self.begin_anew()
-        self.sources, self.asked_t_s = GroundSources(), NEVER
-        self.waiting.clear()
-
-    def begin_anew(self) -> None:
-        """Forget what the boxes told, not the ground."""
-        self.filter, self.box, self.seen_t_s = None, None, NEVER
-        self.candidates, self.turning = Candidates(), Turning()
+        self.filter, self.box, self.seen_t_s, self.asked_t_s = None, None, NEVER, NEVER
+        self.sources, self.candidates, self.turning = GroundSources(), Candidates(), Turning()
         self.regain, self.accepted, self.usual_psr = Regain(), 0, 0.0
+        self.waiting.clear()
 
     def predict(self, state: VehicleState, t_s: float, found: Detections | None = None) -> Box | None:
         """Return the box where the target should appear in the frame of `t_s`; None: search around the last one.
@@ -186,8 +181,8 @@ class Target:
             self.waiting.append((t_s, track))
         while self.waiting and self.readable(self.waiting[0][0], state):
             t_s, track = self.waiting.popleft()
-            if track.restarted:  # the first box was not the target's, nor what was learned from it
-                self.begin_anew()
+            if track.restarted:  # the first box was not the target's
+                self.forget()
             if not (track.found and self.accept(track, t_s, self.pose(state, t_s))):
                 self.regain.miss()
             self.ask_ground(state, t_s)
@@ -309,9 +304,8 @@ class Target:
         level = bool(abs(place[2] - self.seen_ned[2]) <= c.regain_sigmas * rise_std_m)
         path_m = float(np.linalg.norm(f.mean[:2] - self.seen_ned[:2]))
         distance = PathDistance(max(aside_m - own_m, 0.0), path_m, near and level, f.t_s - self.seen_t_s, level)
-        return self.regain.admits(
-            Candidate(f.t_s, place[:2], own_m, float(place[2])), distance, c.regain_area_m2, c.confirm
-        )
+        candidate = Candidate(f.t_s, place[:2], own_m, float(place[2]))
+        return self.regain.admits(candidate, distance, c.regain_area_m2, c.confirm)
 
     def sight(self, box: Box, pose: Pose) -> Sight:
         """A box as a measurement: the lens undone, in NED."""

@@ -9,7 +9,7 @@ from racf.box import tiny_line
 
 SAME_EVERY_S = 10.0  # what hinders FOLLOW, or an order waits for, is repeated no sooner: it and its figures may flicker
 LOOSE = (
-    "the box was loose, or beside the target: the tracker began anew on what moved in it; look whether that is yours"
+    "the box was loose, or beside the target: the tracker started again on what moved in it; look whether that is yours"
 )
 FIGURES = re.compile(r" \([^)]*\)")
 

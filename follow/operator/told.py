@@ -38,7 +38,7 @@ QUIET = (Cause.SEEN, Cause.READY, Cause.OBEYS, Cause.STARTED, Cause.FRESH)
 """Causes that add nothing to what happens."""
 
 LOOSE = "box was loose: follows what moved in it"
-"""What the pilot reads when the tracker began anew."""
+"""What the pilot reads when the tracker started again."""
 
 
 class TextLink(Protocol):

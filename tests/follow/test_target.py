@@ -371,7 +371,7 @@ def test_a_box_that_the_border_cuts_hardly_moves_the_range():
     assert abs(ranged(CAMERA.height + 12) - 12.0) < 0.6 * abs(ranged(CAMERA.height - 30) - 12.0)
 
 
-def test_where_the_tracker_began_anew_nothing_of_the_first_box_is_kept():
+def test_where_the_tracker_started_again_nothing_of_the_first_box_is_kept():
     place, target = (11.0, 4.0), Target(CAMERA, DOWN)
     states = [hovering(i * DT) for i in range(40)]
     for state in states[:20]:

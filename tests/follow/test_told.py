@@ -93,7 +93,7 @@ def test_never_more_than_one_text_a_second_whatever_happens(rounds):
     assert all(b - a >= TEXT_EVERY_S for a, b in itertools.pairwise(at))
 
 
-def test_the_pilot_is_told_that_the_tracker_began_anew():
+def test_the_pilot_is_told_that_the_tracker_started_again():
     ears, box = Ears(), Box(100.0, 100.0, 40.0, 60.0)
     texts = PilotTexts(ears)
     for k in range(60):
