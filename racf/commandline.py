@@ -36,7 +36,7 @@ _FRAME = re.compile(r"[─-╿]+|-{5,}")  # the block of box-drawing characters;
 
 
 class StopReported(KeyboardInterrupt):
-    """A person stopped the program, which has said so and what is left."""
+    """The program ended before it did what it was to do, and has said so and what is left."""
 
 
 def run(

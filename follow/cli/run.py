@@ -352,10 +352,10 @@ def fly_prepared(
                 take(tick)
 
         fly(Parts(camera, link, tracker, target, servo, safety, meter, detector), operator, see, command.seconds)
-    if command.follow and not operator.changes.followed:
-        report(operator.changes.early_end())
-        return False
-    return True
+    began = operator.changes.followed or not command.follow
+    if not began and (line := operator.changes.early_end()):
+        report(line)
+    return began
 
 
 def height_line(config: Config) -> str:
