@@ -36,14 +36,21 @@ class ByteFile(Protocol):
 
 def unwritten(file: Path | str, error: Exception) -> str:
     """One sentence for a file that is no longer written; the same one for every file of a folder whose disk is full."""
-    if isinstance(file, Path):
-        disk = os.statvfs(file.parent)
-        if getattr(error, "errno", 0) == errno.ENOSPC or disk.f_bavail * disk.f_frsize < FULL_BYTES:
-            return (
-                f"the disk of {file.parent} is full: its files are no longer written, what is in them stays, and the "
-                "flight goes on; make room before the next one"
-            )
+    if isinstance(file, Path) and (getattr(error, "errno", 0) == errno.ENOSPC or is_full(file.parent)):
+        return (
+            f"the disk of {file.parent} is full: its files are no longer written, what is in them stays, and the "
+            "flight goes on; make room before the next one"
+        )
     return f"{file} is no longer written: {getattr(error, 'strerror', None) or error}; the flight goes on"
+
+
+def is_full(folder: Path) -> bool:
+    """Whether the folder's disk has no room for a block of images; a disk that is gone is not full."""
+    try:
+        disk = os.statvfs(folder)
+    except OSError:
+        return False
+    return disk.f_bavail * disk.f_frsize < FULL_BYTES
 
 
 class OnceEach:

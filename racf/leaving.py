@@ -12,7 +12,7 @@ what moves the less, the lower it is, has not left.
 A passer-by must not be followed.  It is not in the first box: every point begins there.  Points that its edge drags
 along no longer look as they did; the target looks the same where its points are, and no longer where they would be on
 the ground.  Once what moves agrees with the tracker's box, that is proven, and nothing more is looked at.
-Numbers are measured: docs/notebook.md, "A loose first box".
+The numbers were set on the study's sequences, LEANS in simulated flights: docs/notebook.md, "A loose first box".
 """
 
 import math

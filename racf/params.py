@@ -95,7 +95,7 @@ class Params:
     predict_scale: bool = False  # search with the size that the optical flow of the target's pixels predicts [measured]
     coast: bool = False  # a lost target's box follows the prediction, not the response
     redetect: bool = False  # search for a lost target further afield
-    tighten: bool = False  # start again on what moves out of a first box that is loose or beside the target
+    tighten: bool = False  # start again on what moves out of a loose first box [measured: docs/confidence.md]
     learn_above: float = 0.6  # gate_learning: least confidence (PSR and peak over their running means) of a clear frame
     # gate_learning: the model takes a clear frame in with a share of learning_rate, from none at this confidence to all
     # of it at 1: what slowly hides a target is learned less, one that turns by 45 degrees/s still enough [measured].

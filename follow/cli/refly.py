@@ -25,10 +25,9 @@ from follow.recording.recorder import Recorder
 from follow.recording.refly import RecordedFlight, RecordedMeter, RecordedTracker
 from follow.recording.summary import Figures
 from follow.safety.gate import Safety
-from follow.safety.limits import LONG_S
+from follow.safety.limits import LONG_S, NEVER_S
 from racf.commandline import UsageError
 
-NEVER_S = 1e9  # longer than any flight
 NOT_FLOWN = (
     "other settings: the recorded vehicle did not fly what is sent now, so nothing ends because it does not obey or "
     "does not reach its target"

@@ -27,11 +27,11 @@ from follow.recording.recorder import Recorder
 from follow.recording.scoring import Annotations, FootageScore
 from follow.recording.summary import Figures
 from follow.safety.gate import Safety
+from follow.safety.limits import NEVER_S
 from racf.box import Box
 from racf.commandline import UsageError
 
 REPLAY_HEIGHT_M = 10.0  # of the pretended vehicle: a common follow-me height
-NEVER_S = 1e9  # longer than any footage
 PTZ_SHARE = 3  # the virtual camera shows 1 / 3 of the footage's width and height, pixel for pixel
 
 

@@ -59,13 +59,13 @@ from follow.recording.folder import claimed
 from follow.recording.recorder import Recorder
 from follow.recording.summary import Figures
 from follow.safety.gate import Safety
+from follow.safety.limits import NEVER_S
 from racf.box import Box
 from racf.commandline import UsageError
 from racf.tracker import warm_up
 from sim.scenarios import SCENARIOS, build_live
 
 VEHICLE_S = 30.0  # an autopilot boots in less
-DRY_S = 1e6  # in a dry run it is not asked whether the vehicle obeys
 LONG_S = 1800.0  # length of a scene's path if no end is given: a battery's time
 
 
@@ -266,7 +266,7 @@ def prepare(command: RunCommand, link: MavlinkLink, report: Notify) -> PreparedF
     seen = open_camera(command, link, report)
     if command.dry_run:
         report("dry run: nothing that could move the vehicle is sent; fly it by hand")
-        limits = replace(seen.config.limits, disobey_after_s=DRY_S)  # it flies by hand, not what is desired
+        limits = replace(seen.config.limits, disobey_after_s=NEVER_S)  # it flies by hand, not what is desired
         seen = replace(seen, config=replace(seen.config, limits=limits))
     scale, box = seen.scale, seen.target  # messages are in pixels of the source
     size = seen.lens.width * scale, seen.lens.height * scale

@@ -27,7 +27,6 @@ class ModeChanges:
     refused: Reason | None = None  # why the last order was refused or void
     ended: str = ""  # when following ended last, and why; empty while it follows, or before
     tiny_told: bool = False
-    loose_told: bool = False
     hindered_t_s: dict[str, float] = field(default_factory=dict[str, float])  # when each hindrance was told
     doubt: str = ""  # who was found after a loss and is not taken, as it was told last
 
@@ -45,15 +44,15 @@ class ModeChanges:
         if not self.tiny_told and tick.track is not None and tick.track.found and (line := tiny_line(tick.track.box)):
             self.tiny_told = True
             self.report(f"{at_s:.1f} s: {line}")
-        if not self.loose_told and tick.track is not None and tick.track.restarted:
-            self.loose_told = True
+        if tick.track is not None and tick.track.restarted:
             self.report(f"{at_s:.1f} s: {LOOSE}")
         doubt, self.doubt = self.doubt, tick.estimate.doubt.split(" (")[0]
         if self.doubt and self.doubt != doubt:
             self.report(f"{at_s:.1f} s: {tick.estimate.doubt}")
         if (self.mode, self.reason) == before:
             return
-        if self.reason.cause is Cause.ORDER_WAITS is not (before[1] and before[1].cause):
+        waits = Cause.ORDER_WAITS
+        if self.reason.cause is waits and (before[1] is None or before[1].cause is not waits):
             self.hindered_t_s.clear()  # a new order: what it waits for is news
         if before[0] is Mode.OBSERVE is self.mode and self.reason.cause in (Cause.NOT_READY, Cause.ORDER_WAITS):
             words = FIGURES.sub("", str(self.reason))

@@ -6,6 +6,9 @@ from follow.ranges import require_at_most, require_numbers
 
 MAY_BE_ZERO = ("latency_s", "out_of_view_m_s", "clear_distance")
 
+NEVER_S = 1e9
+"""For `disobey_after_s`, where nothing flies what is sent: longer than any flight."""
+
 LONG_S = 1800.0
 """A battery's time: a longer one is in milliseconds."""
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 
 from follow.cli.program import main
-from follow.disk import BackgroundFile, BackgroundTask
+from follow.disk import BackgroundFile, BackgroundTask, unwritten
 from follow.link.signing import Signing
 from follow.link.tlog import Tlog
 from follow.recording.recorder import RecordConfig, Recorder
@@ -153,6 +153,12 @@ class SmallFile(StalledFile):
         if len(self.content) + len(data) > 20_000:
             raise full_disk()
         self.content += data
+
+
+def test_a_disk_that_is_gone_is_not_called_full_and_its_error_is_told(tmp_path):
+    gone = OSError(errno.EIO, "Input/output error")
+    assert unwritten(tmp_path / "unplugged" / "ticks.csv", gone).endswith("Input/output error; the flight goes on")
+    assert "is full" in unwritten(tmp_path / "ticks.csv", full_disk())
 
 
 def full_disk(*_words: object) -> OSError:

