@@ -1,4 +1,4 @@
-"""A tracker that starts by itself on the first image it gets, and again when it is told to."""
+"""A tracker that starts by itself on the first image it gets, and again after `restart`."""
 
 from collections.abc import Callable
 

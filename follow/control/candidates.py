@@ -1,7 +1,7 @@
-"""What a detector found while the target is lost, as places at which the tracker looks for it.
+"""A detector's objects while the target is lost, as positions at which the tracker searches for it.
 
-A candidate is only looked at: the tracker must find the target there, and the estimate must accept what it finds, by
-the rules for whoever is found after a loss (`follow.control.regain`).
+A candidate is only a place to search: the tracker must find the target there, and the estimate must accept the box, by
+the same rules as for any box after a loss (`follow.control.regain`).
 """
 
 import math
@@ -17,13 +17,13 @@ from follow.selection import Detections
 from racf.box import Box
 
 OFFERED = 4
-"""Candidates of one frame that are looked at: the detector's next answer comes some eight frames later, and every
-second frame is searched at the predicted place."""
+"""Candidates of one frame that are searched: the detector's next answer arrives some eight frames later, and every
+second frame searches the predicted position."""
 
 
 @dataclass(slots=True)
 class Candidates:
-    """The places (3,), NED, of the newest detections that were not yet looked at, the most probable last.
+    """The positions (3,), NED, of the newest detections that were not yet searched, the most probable last.
 
     `t_s` is the time of their frame.
     """
@@ -34,10 +34,11 @@ class Candidates:
     def next(
         self, found: Detections, sight_of: Callable[[Box], Sight], pose: Pose, f: JointFilter, seen_ned: Array
     ) -> Array | None:
-        """The next place to look at, None if there is none.
+        """The next position to search, None if there is none.
 
-        `sight_of` makes a box of the detections' frame a measurement, `pose` is the vehicle's at that time and `f` the
-        target's now.  Those nearest to the path from where the target was seen last to where it should be come first.
+        `sight_of` turns a box of the detections' frame into a measurement; `pose` is the vehicle's at that time, `f`
+        the target's filter now.  Positions nearest to the path from the last seen position to the predicted one come
+        first.
         """
         if found.t_s != self.t_s:
             self.t_s = found.t_s
@@ -51,5 +52,5 @@ class Candidates:
 
 
 def place_by_size(sight: Sight, pose: Pose, f: JointFilter) -> Array:
-    """Where (3,), NED, something as large as the target is, by its direction and its size in the image."""
+    """The position (3,), NED, of an object as large as the target, by its direction and its size in the image."""
     return pose.position_ned + math.exp(f.mean[7] + f.mean[10] - sight.size_log) * sight.toward

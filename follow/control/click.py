@@ -1,8 +1,8 @@
 """A box for a click: what stands out from its surroundings at the place that a person pointed at.
 
-GrabCut (Rother et al. 2004) separates a window round the click into target and surroundings at several scales.  A
-small window may hold a part of the target only, a large one its shadow or a path as well; of the segments that lie free
-in their window the middle one is the answer.  `python -m tools.studies.clicks` measures it.
+GrabCut (Rother et al. 2004) separates a window around the click into target and surroundings, at several scales.  A
+small window may hold only a part of the target, a large one also its shadow or a path; the answer is the middle one of
+the segments that do not touch their window's border.  `python -m tools.studies.clicks` measures it.
 """
 
 import cv2
@@ -16,8 +16,8 @@ UInt8 = NDArray[np.uint8]
 SIDES = (0.06, 0.09, 0.13, 0.18, 0.26, 0.37, 0.52)
 """Sides of the windows, in image heights: targets of 6 to 130 pixels in 360 rows."""
 SQUARE_PX = 64  # GrabCut sees each window at this size: 8 ms
-SURE = 0.10  # radius in windows within which everything is target
-FRAME = 0.08  # width in windows of the border in which everything is surroundings
+SURE = 0.10  # diameter of the middle in which everything is target, as a fraction of the window
+FRAME = 0.08  # width of the border in which everything is surroundings, as a fraction of the window
 MIN_SHARE, MAX_SHARE = 0.015, 0.45  # of the window that a segment may cover
 ROUNDS = 3
 
@@ -35,7 +35,7 @@ def box_at(image: UInt8, x: float, y: float) -> Box | None:
 
 
 def free_segment(image: UInt8, window: Box) -> Box | None:
-    """The box, in the image's pixels, of the segment in the window's middle; None if it is not free in the window."""
+    """The box, in the image's pixels, of the segment in the window's middle; None if it touches the window's border."""
     scale = window.w / SQUARE_PX
     matrix = np.array([[scale, 0.0, window.x + scale / 2 - 0.5], [0.0, scale, window.y + scale / 2 - 0.5]])
     flags = cv2.INTER_AREA if scale > 1 else cv2.INTER_LINEAR

@@ -1,7 +1,7 @@
-"""A detector beside the loop: it gets the newest frame when it is free, and what it found comes when it is ready.
+"""A detector beside the loop: when it is free it gets the newest frame, and its detections arrive when they are ready.
 
-The network runs in a process of its own, at the lowest priority, so that it delays no setpoint.  In a simulation, where
-nothing is late, what it found comes a stated time later, and the same flight gets the same detections.
+The network runs in a process of its own, at the lowest priority, so that it delays no setpoint.  In a simulation
+detections arrive after a fixed delay, so that the same flight gets the same detections.
 """
 
 import contextlib
@@ -32,16 +32,16 @@ log = logging.getLogger(__name__)
 UInt8 = NDArray[np.uint8]
 Find = Callable[[UInt8], tuple[Detection, ...]]
 Answer = tuple[Detection, ...] | Box | str | None
-"""Of the process: what was found, the box of a click, or why the network failed."""
+"""The process's answer: the detections, the box of a click, or why the network failed."""
 
-PERIOD_S = 0.2  # between two frames that it gets, at least
-REST = 0.5  # of the time that it took for a frame, before it gets the next one: the board stays cool
-DELAY_S = 0.3  # in a simulation: two squares of 416 pixels take some 0.2 s of a core, and the camera is late also
-CLICK_S = 2.0  # longest wait of a click for its box
-SILENT_S = 10.0  # with no answer for this long one line says so; a large network loads for as long on a board
+PERIOD_S = 0.2  # least time between two frames for the network
+REST = 0.5  # pause before the next frame, as a fraction of the time for the last one: the board stays cool
+DELAY_S = 0.3  # in a simulation: two squares of 416 pixels take some 0.2 s of a core; the rest is the camera's delay
+CLICK_S = 2.0  # timeout of a click's search for a box
+SILENT_S = 10.0  # warn after this long without an answer; loading a large network can take that long on a board
 NICEST = 19
 FIRST_TO_END = "1000"  # the highest of oom_score_adj, proc(5)
-END_S = 2.0  # for the process to end
+END_S = 2.0  # timeout for the process to end
 
 
 def is_fresh(found: Detections | None, t_s: float) -> bool:
@@ -50,7 +50,7 @@ def is_fresh(found: Detections | None, t_s: float) -> bool:
 
 
 class DelayedDetector:
-    """The detector of a simulation: `find` is called at once, and its answer is known `delay_s` later."""
+    """The detector of a simulation: `find` runs at once, and its answer is released `delay_s` later."""
 
     def __init__(self, find: Find, delay_s: float = DELAY_S) -> None:
         self._find, self._delay_s = find, delay_s
@@ -59,7 +59,7 @@ class DelayedDetector:
         self._found: Detections | None = None
 
     def update(self, frame: Frame | None, t_s: float) -> Detections | None:
-        """Take in a round at `t_s` and its frame; what was found last, None if that is too old."""
+        """Take in a round at `t_s` and its frame; returns the last detections, None if they are too old."""
         if frame is not None and t_s >= self._next_t_s:
             self._next_t_s = t_s + max(PERIOD_S, (1 + REST) * self._delay_s)
             try:
@@ -73,9 +73,9 @@ class DelayedDetector:
 
 
 class DetectorProcess:
-    """The detector of a file, in a process of its own; use it in a `with` block.
+    """An ONNX file's detector in a process of its own; use it in a `with` block.
 
-    `update` is the loop's and never waits; `snap` is for the thread that looks for a click's box.
+    The loop calls `update`, which never waits; `snap` is for the thread that searches a click's box.
     """
 
     def __init__(self, path: Path) -> None:
@@ -86,12 +86,12 @@ class DetectorProcess:
         self._next_t_s = -float("inf")
         self._found: Detections | None = None
         self._failure = ""
-        self._late: Future[Answer] | None = None  # of a click that gave up waiting
-        self._is_warm = False  # it has answered: the first answer also waits for the process to start
+        self._late: Future[Answer] | None = None  # the call of a click that timed out
+        self._is_warm = False  # it has answered once: the first answer includes the start of the process
         self._told: set[str] = set()
 
     def update(self, frame: Frame | None, t_s: float) -> Detections | None:
-        """Take in a round at `t_s` and its frame; what was found last, None if that is too old."""
+        """Take in a round at `t_s` and its frame; returns the last detections, None if they are too old."""
         if self._asked is not None and self._asked[0].done():
             (asked, looked_at, since_s), self._asked = self._asked, None
             self._next_t_s = max(since_s + PERIOD_S, t_s + REST * (t_s - since_s))
@@ -106,9 +106,9 @@ class DetectorProcess:
         return self._found if is_fresh(self._found, t_s) else None
 
     def snap(self, image: UInt8, x: float, y: float) -> Box | None:
-        """The box of the likeliest object at a place (pixels) of an image; None without one, or if that takes long.
+        """The box of the likeliest object at a pixel of an image; None without one, or after CLICK_S.
 
-        While an image of an earlier click still waits, no other is queued behind it.
+        While the call of an earlier click is still pending, no other is queued behind it.
         """
         if self._has_ended or (self._late is not None and not self._late.done()):
             return None
@@ -121,7 +121,7 @@ class DetectorProcess:
         return answer if isinstance(answer, Box) else None
 
     def _judge_age(self, age_s: float) -> None:
-        """Say once that what is found comes too late to be of use."""
+        """Warn once that detections arrive too late to be used."""
         if self._is_warm and age_s > DETECTIONS_S:
             self._tell_once(
                 f"the detector is too slow: it found boxes {age_s:.1f} s after their frame, and older ones than "
@@ -140,13 +140,13 @@ class DetectorProcess:
         return self._pipe.closed
 
     def _call(self, image: UInt8, place: tuple[float, float] | None) -> Answer:
-        """Let the process look at an image, at a place only or everywhere; runs in the thread of `_calls`."""
+        """Let the process search an image, at a pixel only or everywhere; runs in the thread of `_calls`."""
         self._pipe.send((image.shape, place))
         self._pipe.send_bytes(np.ascontiguousarray(image).reshape(-1).data)
         return self._pipe.recv()
 
     def _answer(self, asked: "Future[Answer]") -> Answer:
-        """The answer of a call; None, and a line in the log if it is a new failure, for one that failed."""
+        """The answer of a call; None if it failed, and a warning if the failure is new."""
         try:
             answer = asked.result(CLICK_S)
         except TookTooLong:
@@ -170,7 +170,7 @@ class DetectorProcess:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._process.terminate()  # a call that waits for it ends with EOFError
+        self._process.terminate()  # a pending call then ends with EOFError
         self._process.join(END_S)
         if self._process.is_alive():  # stopped, or stuck in its driver
             self._process.kill()
@@ -179,14 +179,14 @@ class DetectorProcess:
 
 
 def serve(path: Path, pipe: "Connection") -> None:
-    """The process: answers each image that comes through `pipe`, until the other side closes it."""
+    """Entry point of the process: answer each image that arrives through `pipe`, until the other side closes it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the loop, which ends this process
-    os.setpriority(os.PRIO_PROCESS, 0, NICEST)  # the service runs the loop at -10, and this would inherit it
-    with contextlib.suppress(OSError):  # where memory runs out the kernel ends this process, not the one that flies
+    os.setpriority(os.PRIO_PROCESS, 0, NICEST)  # otherwise it inherits the loop's -10 from the service
+    with contextlib.suppress(OSError):  # when memory runs out the kernel kills this process, not the one that flies
         Path("/proc/self/oom_score_adj").write_text(FIRST_TO_END, encoding="ascii")
     cv2.setNumThreads(max((os.cpu_count() or 1) - 1, 1))  # a core for the loop
     detector = Detector(path)
-    with contextlib.suppress(EOFError, OSError):  # the flight has ended, however
+    with contextlib.suppress(EOFError, OSError):  # the flight has ended, whatever ended it
         while True:
             shape, place = pipe.recv()
             image = np.frombuffer(pipe.recv_bytes(), np.uint8).reshape(shape)

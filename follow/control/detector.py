@@ -1,14 +1,14 @@
 """A detector that a person brings as an ONNX file: a click becomes the box of the object at that place.
 
-OpenCV runs it, or else ONNX Runtime if that is installed.  Three shapes of output are read, as their exporters write
-them without non-maximum suppression:
+OpenCV runs it, or else ONNX Runtime if that is installed.  It reads three shapes of output, as exported without
+non-maximum suppression:
 
 - YOLOX: (1, cells, 5 + classes), offsets and log sizes in cells of 8, 16 and 32 pixels, objectness, class scores;
 - YOLOv8 and later: (1, 4 + classes, cells), centre and size in input pixels, class scores;
-- SSD: (1, 1, boxes, 7), image, class, score, and the corners in shares of the input.
+- SSD: (1, 1, boxes, 7), image, class, score, and the corners as fractions of the input.
 
-A detector sees small targets badly, so it is shown a window round the click, enlarged to its input.  A whole image is
-looked at in squares of the image's shorter side.
+Detectors miss small targets, so for a click the network gets a window around it, enlarged to its input.  A whole image
+is searched in squares of its shorter side.
 """
 
 from pathlib import Path
@@ -25,12 +25,12 @@ UInt8 = NDArray[np.uint8]
 Floats = NDArray[np.float32]
 
 WINDOW = 0.6  # side of the window in image heights: as large as those of follow.control.click
-LEAST_SCORE = 0.25  # usual in the three families for showing a box
+LEAST_SCORE = 0.25  # the usual threshold for showing a box in the three families
 SAME_IOU = 0.5  # two boxes with a larger overlap are of one object: usual in the three families
-COVERED = 0.7  # a part of an object lies in the object's box with at least this fraction of its area
+COVERED = 0.7  # a cut-off box that another box covers by this fraction of its area is a part of that object
 MOST = 32  # objects in an image: a person cannot choose among more
-CONSIDERED = 1000  # boxes of one look, the likeliest: suppression takes the square of their number
-MARGIN = 0.2  # of a box's size: a finger misses a small target
+CONSIDERED = 1000  # likeliest boxes kept per square: the cost of suppression grows with the square of their number
+MARGIN = 0.2  # a click this fraction of a box's size outside it still counts: a finger misses a small target
 STRIDES = (8, 16, 32)  # of YOLOX
 USUAL_SIZE = 640  # of a network that takes any size
 GREY = 114  # what YOLOX and YOLOv8 pad with
@@ -39,7 +39,7 @@ BYTES, VARINT, FIXED64, FIXED32 = 2, 0, 1, 5  # wire types of Protocol Buffers
 
 
 class Detector:
-    """A network in an ONNX file.  Raises ValueError for one that cannot be used, in one sentence."""
+    """A network in an ONNX file.  Raises ValueError for a network that cannot be used."""
 
     def __init__(self, path: Path) -> None:
         data = path.read_bytes()
@@ -51,7 +51,7 @@ class Detector:
             raise ValueError(f"the detector {path} cannot be used: {error}") from None
 
     def find(self, image: UInt8) -> tuple[Detection, ...]:
-        """Every object in an image of (rows, columns[, 3]), BGR or grey, once, the likeliest first: at most `MOST`.
+        """The objects in an image of (rows, columns[, 3]), BGR or grey, each once, likeliest first, at most `MOST`.
 
         Raises ValueError if the network fails.
         """
@@ -67,7 +67,7 @@ class Detector:
         return tuple(sorted(kept + parts, key=lambda d: -d.score)[:MOST])
 
     def snap(self, image: UInt8, x: float, y: float) -> Box | None:
-        """The box of the likeliest object at a place in an image of (rows, columns[, 3]) in BGR; None without one.
+        """The box of the likeliest object at a pixel of an image of (rows, columns[, 3]) in BGR; None without one.
 
         Raises ValueError if the network fails.
         """
@@ -77,7 +77,7 @@ class Detector:
         return max(there, key=lambda d: d.score).box if there else None
 
     def _look(self, image: UInt8, left: int, top: int, side: int) -> list[Detection]:
-        """The objects in a square of a colour image, in the image's pixels; the same one may come several times."""
+        """The objects in a square of a colour image, in the image's pixels; the same one may appear several times."""
         window, scale = cut(image, left, top, side), self._size / side
         how = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
         square = np.asarray(cv2.resize(window, (self._size, self._size), interpolation=how), np.uint8)
@@ -85,7 +85,7 @@ class Detector:
         return [Detection(Box(box.x + left, box.y + top, box.w, box.h), score) for box, score in found]
 
     def detect(self, square: UInt8) -> list[Detection]:
-        """Every object in a square BGR image of the input's size; the same object may come several times.
+        """Every object in a square BGR image of the input's size; the same object may appear several times.
 
         Raises ValueError if the network fails.
         """
@@ -109,9 +109,9 @@ class Detector:
 
 
 def started(model: bytes, blank: Floats) -> tuple[Run, Floats]:
-    """A network that runs, and its output for a blank image: OpenCV's or, if that fails, ONNX Runtime's.
+    """The network loaded by OpenCV or, if that fails, by ONNX Runtime, and its output for a blank image.
 
-    Raises ValueError if neither runs it.
+    Raises ValueError if neither can run it.
     """
     try:
         run = with_opencv(model)
@@ -126,7 +126,7 @@ def started(model: bytes, blank: Floats) -> tuple[Run, Floats]:
 
 
 def kind_of(output: Floats, size: int) -> str:
-    """The family of a network by its output.  Raises ValueError for a shape that is none of the three."""
+    """The family of a network by its output.  Raises ValueError for any other shape."""
     shape, cells = output.shape, sum((size // stride) ** 2 for stride in STRIDES)
     if len(shape) == 4 and shape[:2] == (1, 1) and shape[3] == SSD_FIELDS:
         return "SSD"
@@ -165,7 +165,7 @@ def squares(rows: int, columns: int) -> list[tuple[int, int, int]]:
 
 
 def is_inside(box: Box, left: int, top: int, side: int, rows: int, columns: int) -> bool:
-    """Whether a box keeps away from the borders of a square, where they are not those of the image."""
+    """Whether a box is clear of the square's borders, except those that are also the image's."""
     near = side / 50
     return (
         (left <= 0 or box.x > left + near)
@@ -195,7 +195,7 @@ def in_colour(image: UInt8) -> UInt8:
 
 
 def cut(image: UInt8, left: int, top: int, side: int) -> UInt8:
-    """A square of the image; what lies outside is grey."""
+    """A square of the image, padded with grey outside it."""
     window = np.full((side, side, 3), GREY, np.uint8)
     rows, columns = image.shape[:2]
     x0, y0, x1, y1 = max(left, 0), max(top, 0), min(left + side, columns), min(top + side, rows)
@@ -205,7 +205,7 @@ def cut(image: UInt8, left: int, top: int, side: int) -> UInt8:
 
 
 def holds(box: Box, x: float, y: float) -> bool:
-    """Whether a place lies in a box."""
+    """Whether a pixel lies in a box."""
     return box.x <= x <= box.x + box.w and box.y <= y <= box.y + box.h
 
 
@@ -227,7 +227,7 @@ def input_size(model: bytes) -> int:
 
 
 def parts(message: bytes, number: int) -> list[bytes]:
-    """The fields of that number that hold bytes, in a Protocol Buffers message.  Raises ValueError for no message."""
+    """The fields of that number that hold bytes.  Raises ValueError if `message` is not a Protocol Buffers message."""
     return [value for n, value in fields(message) if n == number and isinstance(value, bytes)]
 
 
@@ -258,7 +258,7 @@ def fields(message: bytes) -> list[tuple[int, bytes | int]]:
 
 
 def varint(message: bytes, at: int) -> tuple[int, int]:
-    """An integer of seven bits a byte, and where it ends."""
+    """A Protocol Buffers varint (seven bits a byte) and the offset after it."""
     value = shift = 0
     while at < len(message) and shift < 64:
         byte = message[at]

@@ -1,7 +1,7 @@
 """How the vehicle's reported position moves away from its reported velocity.
 
-An estimator with noisy sensors reports a velocity near the one that it was told to fly, while its position moves by
-more: PX4 by 0.15 to 0.4 m/s, for some seconds in one direction (docs/vehicle.md).  The target's position and velocity
+An estimator with noisy sensors reports a velocity near the commanded one, while its position moves faster: with PX4 by
+0.15 to 0.4 m/s, for some seconds in one direction (docs/vehicle.md).  The target's position and velocity
 are in the frame of the reported positions, so the vehicle's velocity must be in it as well, whichever of the two is
 right over the ground.  On each axis the state is (position p, drift b):
 
@@ -32,7 +32,7 @@ GAP_S = 1.0
 
 @dataclass(slots=True)
 class Drift:
-    """`velocity` (3,), NED, m/s, is how much faster the reported position moves than the reported velocity says."""
+    """`velocity` (3,), NED, m/s, is the rate of the reported position minus the reported velocity."""
 
     velocity: Array = field(default_factory=lambda: np.zeros(3))
     _t_s: float = -math.inf
@@ -41,7 +41,7 @@ class Drift:
     _p: tuple[float, float, float] = (0.0, 0.0, 0.0)  # variance of p, covariance, variance of b
 
     def update(self, state: VehicleState) -> None:
-        """Take in a state with a newer position; one that is not finite says nothing."""
+        """Take in a state with a newer position; one that is not finite is ignored."""
         t_s = state.position_t_s
         place = np.array([state.north_m, state.east_m, state.down_m])
         reported = np.array([state.north_m_s, state.east_m_s, state.down_m_s])
@@ -53,7 +53,7 @@ class Drift:
             self._place, self._p = place, (POSITION_STD_M**2, 0.0, DRIFT_STD_M_S**2)
             return
         keep = math.exp(-dt / DRIFT_S)
-        reach = DRIFT_S * (1 - keep)  # of a drift over dt
+        reach = DRIFT_S * (1 - keep)  # integral over dt of a drift of 1 m/s
         pp, pb, bb = self._p
         pp, pb, bb = pp + 2 * reach * pb + reach**2 * bb, keep * (pb + reach * bb), keep**2 * bb
         bb += (1 - keep**2) * DRIFT_STD_M_S**2

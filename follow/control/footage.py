@@ -10,15 +10,15 @@ from racf.box import Box
 from racf.track import Track
 
 ANY_SIZE = 2.0
-"""Relative deviation of a size of which nothing is known: within a factor of seven it is as likely as not."""
+"""Relative deviation of an unknown size: one standard deviation is a factor of seven."""
 
 
 class FootageTarget:
     """A Target for footage.  The motion of the camera that filmed it is unknown, so the tracker gets no prior.
 
     With `moves_view` the view is a window over the footage that turns with the vehicle.  Without it each image is read
-    from the vehicle's first pose, because the simulated flight does not change what the footage shows.  The height of
-    that vehicle is made up, so it fits a target of any size.
+    from the vehicle's first pose, because the simulated flight does not change what the footage shows.  The vehicle's
+    height is invented, so the size's prior must admit a target of any size.
     """
 
     def __init__(self, target: Target, *, moves_view: bool) -> None:
@@ -36,7 +36,7 @@ class FootageTarget:
     ) -> Estimate:
         """Return the estimate, seen from the vehicle's pose (`moves_view`) or from its first pose.
 
-        `motion` says nothing here: the footage's camera has no height above the ground that the vehicle knows of.
+        `motion` is ignored: the vehicle's height is not that of the camera that filmed the footage.
         """
         self._begin = self._begin or state
         if not self._moves_view:

@@ -1,7 +1,7 @@
-"""What is known of the ground's height under the target: by start or home, by rangefinder, by terrain map.
+"""The ground's height under the target: by start or home, rangefinder, terrain map, or the ground's parallax.
 
-Each source is a word on one length.  The filter has all lengths in proportion to the target's size, so a word corrects
-the size, or contradicts it.
+Each source measures one length.  The filter has all lengths in proportion to the target's size, so a measured length
+corrects the size, or contradicts it.
 """
 
 import math
@@ -22,20 +22,20 @@ FRESH_S = 2.0
 """Heights older than this do not count: a terrain report comes about once a second."""
 
 LOW_M = 2.0
-"""Lower than this over the ground, a height says too little of the range: a kerb is a tenth of it."""
+"""Lower than this over the ground, a height does not measure the range: a kerb is a tenth of it."""
 
 BETTER = 0.7
-"""The start counts again only when its said_std is this much lower: its error is one and the same."""
+"""The start counts again only when its said_std falls to this fraction: its error is the same each time."""
 
 LEAST_SIZE_STD = 0.03
-"""The size is never better known: the parallax beside a car was 3 % too high throughout."""
+"""Lower limit of the size's relative deviation: the parallax beside a car was 3 % too high throughout."""
 
 LEAST_RATIO = 0.3
-"""Of the range by a source that has the vehicle on the ground or below it."""
+"""Lower limit of near_ratio, for a source that puts the vehicle on the ground or below it."""
 
 
 class Source(str, Enum):
-    """Who says how high the ground lies."""
+    """What measures the ground's height."""
 
     START = "the start's height"
     RANGEFINDER = "the rangefinder"
@@ -44,18 +44,19 @@ class Source(str, Enum):
 
 
 CORRELATED = {Source.START: 1.0, Source.RANGEFINDER: 3.0, Source.TERRAIN: 3.0, Source.PARALLAX: 1.0}
-"""Words of a source are this many times less certain than each alone.  Ten in a row share the slope's error.  The start
-counts once.  The parallax' errors, 0.04 to 0.64 of what is claimed, have a correlation of 0.5 at most over a second."""
+"""Factor on a source's deviation, because its successive errors are correlated: ten in a row share the slope's error.
+The start counts once.  The parallax's errors, 0.04 to 0.64 of the claimed deviation, correlate by at most 0.5 over a
+second."""
 
 
 @dataclass(frozen=True, slots=True)
 class GroundTrust:
-    """How far each source is believed.  Raises ValueError for a number out of its range."""
+    """The uncertainty of each source of the ground's height.  Raises ValueError for a number out of its range."""
 
     start_std_m: float = 0.5  # Uncertainty of the height of the start's ground: barometer drift, a kerb.
     rangefinder_std_m: float = 0.3  # Uncertainty of the ground under the vehicle by a rangefinder: grass, and tilt.
     terrain_std_m: float = 5.0  # Uncertainty of a terrain map: a grid of 30 to 100 m.
-    slope_std: float = 0.06  # Slope between there and the target, standard deviation: most paths have 0 to 10 %.
+    slope_std: float = 0.06  # Standard deviation of the slope between there and the target: most paths have 0 to 10 %.
     every_s: float = 1.0  # Time between two corrections by a source.
     contradiction_sigmas: float = 2.0  # Disagreement of size and ground that stops the vehicle, in standard deviations.
 
@@ -65,7 +66,7 @@ class GroundTrust:
 
 @dataclass(frozen=True, slots=True)
 class GroundWord:
-    """What a source says of the ground's height under the target, beside what the box says with the size's prior.
+    """The ground's height under the target by a source, beside that by the box and the filter's size.
 
     `height_m` is the camera's height over that ground by the source, with `std_m`; `by_size_m` the same by the box,
     with `own_std_m` for a known size.
@@ -78,12 +79,12 @@ class GroundWord:
 
     @property
     def lowest_m(self) -> float:
-        """The lower of both heights: what their difference is compared with."""
+        """The lower of both heights."""
         return max(min(self.height_m, self.by_size_m), CLEAR_M)
 
     @property
     def ratio_std(self) -> float:
-        """Standard deviation of ln height - ln by_size, the size's own apart."""
+        """Standard deviation of ln height - ln by_size, without the size's own."""
         return math.hypot(self.own_std_m, self.std_m) / self.lowest_m
 
     @property
@@ -93,13 +94,14 @@ class GroundWord:
 
     @property
     def clear(self) -> bool:
-        """Whether both heights are enough to compare."""
+        """Whether both heights are large enough to compare."""
         return min(self.height_m, self.by_size_m) >= CLEAR_M
 
     def sigmas(self, size_std: float) -> float:
         """By how many standard deviations source and size contradict each other, for a relative `size_std`.
 
-        The larger of two: by the heights' ratio, and by their difference: a ratio to a very low one says little.
+        The larger of two numbers: by the heights' ratio, and by their difference, because a ratio to a very low height
+        is no evidence.
         """
         highest = max(self.height_m, self.by_size_m, CLEAR_M)
         off = abs(self.height_m - self.by_size_m) / math.hypot(self.own_std_m, self.std_m, highest * size_std)
@@ -117,12 +119,12 @@ def ground_word(f: JointFilter, camera_ned: Array, middle: float, ground_down_m:
 
 
 def grounded(f: JointFilter, here: Array, velocity: Array, middle: float, word: GroundWord) -> JointFilter:
-    """The filter after a word on the ground's height; the same unless the word is clear.
+    """The filter after a measurement of the ground's height; unchanged unless the measurement is clear.
 
     All lengths in the filter are in proportion to the size, the camera's height over the ground among them, so
-    ln height - ln by_size measures ln size.  It measures the rest of the state too, a grown box and a slope
-    among it: each gets its part of the difference by its variance (Kalman's gain).  The correlation of size and
-    rest that this leaves is negative; it is left out, which makes the covariance larger, never smaller.
+    ln height - ln by_size measures ln size.  It also measures the rest of the state, such as a grown box or a slope:
+    each gets its part of the difference by its variance (Kalman's gain).  The remaining correlation of size and rest
+    is negative; it is neglected, which makes the covariance larger, never smaller.
     """
     if not word.clear:
         return f
@@ -137,7 +139,7 @@ def grounded(f: JointFilter, here: Array, velocity: Array, middle: float, word: 
 
 @dataclass(frozen=True, slots=True)
 class Parallax:
-    """Where the ground around the target's feet lies by its motion in the image: NED down and its deviation, metres.
+    """The ground around the target's feet by its parallax in the image: NED down and its deviation, metres.
 
     `shared_std_m` is the part of the deviation that measurements of the same second share.
     """
@@ -149,34 +151,34 @@ class Parallax:
 
     @property
     def own_std_m(self) -> float:
-        """The rest, that of this measurement alone."""
+        """The part of the deviation that this measurement alone has."""
         return max(math.sqrt(max(self.std_m**2 - self.shared_std_m**2, 0.0)), 0.01)
 
 
 def mean_parallax(seen: Sequence[Parallax]) -> tuple[float, float]:
-    """The mean of some measurements, each by its own variance: NED down and its deviation, metres."""
+    """The mean of some measurements, weighted by their inverse variance: NED down and its deviation, metres."""
     weights = np.array([1 / one.own_std_m**2 for one in seen])
-    share = weights / weights.sum()
-    shared_m = float(share @ [one.shared_std_m for one in seen])
-    return float(share @ [one.down_m for one in seen]), math.hypot(1 / math.sqrt(weights.sum()), shared_m)
+    fraction = weights / weights.sum()
+    shared_m = float(fraction @ [one.shared_std_m for one in seen])
+    return float(fraction @ [one.down_m for one in seen]), math.hypot(1 / math.sqrt(weights.sum()), shared_m)
 
 
 @dataclass(slots=True)
 class GroundSources:
-    """Compares the sources; remembers how well each was once believed, and which contradicts the size."""
+    """Compares the sources; remembers the deviation with which each was last used, and which contradicts the size."""
 
     believed: dict[Source, float] = field(default_factory=dict[Source, float])
-    parallax: deque[Parallax] = field(default_factory=lambda: deque[Parallax](maxlen=32))  # since they were last asked
+    parallax: deque[Parallax] = field(default_factory=lambda: deque[Parallax](maxlen=32))  # since the last correction
     contradiction: str = ""
-    near_ratio: float = 1.0  # of the range by the nearer source to the estimate's, while they contradict each other
+    near_ratio: float = 1.0  # nearer range / estimated range while a source contradicts the size
 
     def correct(
         self, f: JointFilter, pose: Pose, state: VehicleState, size: tuple[float, float, float], c: GroundTrust
     ) -> JointFilter:
-        """The filter after what the sources say now; `size` is the prior's metres, relative deviation, and `middle`.
+        """The filter corrected by the sources; `size` is the prior's metres, relative deviation, and `middle`.
 
-        A source that contradicts the prior is not believed, and `contradiction` says so until it agrees.  So the size
-        is a constant with a bound: `contradiction_sigmas` standard deviations of prior and source together.
+        A source that contradicts the prior is rejected, and `contradiction` says so until it agrees.  So no source can
+        move the size by more than `contradiction_sigmas` standard deviations of prior and source together.
         """
         here, velocity = pose.position_ned, np.array([pose.north_m_s, pose.east_m_s])
         size_m, size_std, middle = size
@@ -200,12 +202,12 @@ class GroundSources:
         return f
 
     def reset(self) -> None:
-        """The vehicle's height was reset: a start that was believed once does not count again."""
+        """The vehicle's height was reset: the start's height, if it was already used, does not count again."""
         if Source.START in self.believed:
             self.believed[Source.START] = 0.0
 
     def contradict(self, source: Source, word: GroundWord, size_m: float) -> None:
-        """Note that a source and the target's size contradict each other; the nearer of both counts."""
+        """Note that a source and the target's size contradict each other; the nearer range of both counts."""
         ratio = max(word.height_m / max(word.by_size_m, CLEAR_M), LEAST_RATIO)
         self.near_ratio = min(self.near_ratio, ratio)
         self.contradiction = (
@@ -215,10 +217,10 @@ class GroundSources:
 
 
 def ground_words(f: JointFilter, here: Array, state: VehicleState, c: GroundTrust) -> list[tuple[Source, float, float]]:
-    """Where the sources put the ground under the target: NED down (metres), standard deviation (metres).
+    """The ground under the target by each source: NED down (metres), standard deviation (metres).
 
-    The start's ground, at home or at the origin, is extended to the target flat, and the ground under the vehicle by
-    the filter's gradient; both with the uncertainty of the slope over the distance between.
+    The start's ground, at home or at the origin, is extrapolated to the target as flat, the ground under the vehicle
+    by the filter's gradient; both with the uncertainty of the slope over the distance.
     """
     target = f.mean[:2]
     ahead = target - here[:2]
@@ -236,7 +238,7 @@ def ground_words(f: JointFilter, here: Array, state: VehicleState, c: GroundTrus
 
 
 def start_down_m(state: VehicleState) -> float:
-    """Where the ground of the start lies: by the height above home, else by home's place, else at the origin."""
+    """NED down of the start's ground: by the height above home, else by home's position, else at the origin."""
     if 0 <= state.t_s - state.above_home_t_s <= FRESH_S:
         return state.down_m + state.above_home_m
     return state.home_down_m if state.home_t_s > NEVER else 0.0

@@ -1,16 +1,16 @@
-"""How the background moves in the image, against how the vehicle's own motion says that it must move.
+"""The background's motion in the image, compared with the motion that the vehicle's own poses predict.
 
 Corners outside the target's box are tracked from a key frame to the frame `SPAN_S` later (Lucas-Kanade).  From the
 camera's poses at both times the motion of each corner is predicted: `r` from the rotation alone, which is exact at
-any depth, and `t` on top of it from the translation, for a corner on flat ground at the believed height (zero for
+any depth, and `t` on top of it from the translation, for a corner on flat ground at the assumed height (zero for
 corners at or above the horizon).  The measured motion is then modelled as
 
     m = a r + b t
 
-`a` is 1 for a camera that looks where we believe it does, 0 for a frozen image, -1 for a mount with the wrong sign,
-and the ratio of true to assumed focal length for a wrong lens.  `b` is the believed height above the ground over the
-true one (times the same ratio).  What is passed on are the means of the products that this least-squares problem
-needs: whoever judges adds them up over time (`follow.safety.consistency`).
+`a` is 1 for a camera that is mounted as configured, 0 for a frozen image, -1 for a mount with the wrong sign, and the
+ratio of true to assumed focal length for a wrong lens.  `b` is the assumed height above the ground over the true one
+(times the same ratio).  The output is the means of the products that this least-squares problem needs;
+`follow.safety.consistency` sums them over time and judges.
 """
 
 import math
@@ -33,24 +33,24 @@ SPAN_S = 0.2  # between the two frames: 3 m/s and 0.1 rad/s then move corners by
 WIDTH_PX = 320  # images are shrunk to at most this width: Lucas-Kanade stays below 1 ms, 0.1 px here is 0.2 px at 640
 CORNERS = 48  # the fit has two unknowns; more corners cost time and share the same pose error
 QUALITY = 0.01  # of the strongest corner: asphalt and grass still give some
-APART_PX = 10  # so that one tree does not outvote the ground
-FEET_REACH = 1.5  # box heights to either side of the feet in which the ground counts as theirs
-AROUND_BOX = 1.6  # the target moves by itself; so does its shadow beside it
-APART = 0.5  # of the ground's motion: a target that moves by less than this beside it may be the ground
-FEWEST = 8  # corners below which an interval says nothing
+APART_PX = 10  # least distance of two corners, so that one tree does not outvote the ground
+FEET_REACH = 1.5  # ground within this many box heights to either side of the feet is sampled for its height
+AROUND_BOX = 1.6  # no corners in the box enlarged by this: the target moves by itself, and so does its shadow
+APART = 0.5  # of the ground's motion: with a smaller difference the target cannot be told from the ground
+FEWEST = 8  # fewer corners are no measurement
 WINDOW = (15, 15)  # Lucas-Kanade's; with two halvings it follows 30 px in the shrunk image
 HUBER_PX = 1.0  # residual (full-size pixels) beyond which a corner counts less: other people, leaves, an OSD
 ROUNDS = 4  # of reweighting
 LEAST_HEIGHT_M = 1.0  # below it the ground is too near for the parallax to be linear
-LEAST_FALL = 0.05  # sine of the depression of the feet: flatter rays say nothing of the height
+LEAST_FALL = 0.05  # sine of the depression of the feet: flatter rays do not measure the height
 FAR_M = 300.0  # ground farther away than this moves by rotation only
 NEAR_DEPTH = 0.35  # ground within this fraction of the feet's distance counts as the ground around the target
-PLANE = 0.12  # of their translation: corners whose RMS difference is larger are not one plane (ground: 0.02 to 0.1)
-NEAR_CORNERS = 4  # corners there below which the parallax says nothing of the height
-HEIGHT_NOISE_RAD = math.radians(0.2)  # error shared by an interval's corners: of the attitude between its frames
-HEIGHT_LEAST_RAD = 0.008  # rms translation there below which it says nothing either: twice that error
+PLANE = 0.12  # largest RMS residual of corners on one plane, as a fraction of their translation (ground: 0.02 to 0.1)
+NEAR_CORNERS = 4  # fewer corners around the feet do not measure the height
+HEIGHT_NOISE_RAD = math.radians(0.2)  # attitude error between an interval's frames, shared by all its corners
+HEIGHT_LEAST_RAD = 0.008  # a smaller RMS translation does not measure the height either: twice HEIGHT_NOISE_RAD
 JITTER_S = 0.01  # of a frame's time against the attitude's, each; at 0.5 rad/s it weighs as much as HEIGHT_NOISE_RAD
-SPEED_NOISE_M_S = 0.1  # of the velocity by GPS that the translation comes from: a hovering vehicle reports 0.05 to 0.1
+SPEED_NOISE_M_S = 0.1  # of the GPS velocity that predicts the translation: a hovering vehicle reports 0.05 to 0.1
 HEIGHT_RELATIVE_STD = 0.5  # a less certain height is not used: its error is not normal and has no bound
 NO_HEIGHT = math.inf, math.inf, 0.0
 WAIT_S = 0.15  # an interval waits at most this long for telemetry that covers its frames
@@ -74,8 +74,8 @@ class CornerTracks:
 class ImageMotionMeter:
     """Fed once a round; gives an `ImageMotion` about every `SPAN_S`.
 
-    `camera` describes the full-size image, `down_rad` is the mount.  `ground_down_m` is where the ground is believed
-    to be (local NED); the caller may change it.
+    `camera` describes the full-size image, `down_rad` is the mount.  `ground_down_m` is the assumed position of the
+    ground (local NED); the caller may change it.
     """
 
     camera: Intrinsics
@@ -90,15 +90,15 @@ class ImageMotionMeter:
     def update(self, frame: Frame | None, track: Track | None, state: VehicleState) -> ImageMotion | None:
         """Take in a round; the measurement of the oldest interval whose poses are known, or None.
 
-        A box counts only where the tracker says that it found the target.  An interval is dropped when the attitude at
-        one of its frames is not known: outside the messages, or in a gap of more than `GAP_S` between them.  It
-        tells no height where that holds of the positions: what a vehicle flew unheard is not guessed.
+        A box counts only if the tracker found the target.  An interval is dropped when the attitude at one of its
+        frames is not known: outside the messages, or in a gap of more than `GAP_S` between them.  It measures no
+        height if the positions have a gap of more than `PLACE_GAP_S`: the flight in between is not guessed.
         """
         self.poses.add(state)
         if frame is not None:
             box = track.box if track is not None and track.found else None
             if box is not None and not within(box, self.camera):
-                box = None  # what shows of a target at the border stays there while the target itself moves out
+                box = None  # at the border the box stays while the target itself moves out
             if self._key is not None and not follows(self._box, box):
                 self._key = *self._key[:3], None
             self._box = box
@@ -185,17 +185,17 @@ class ImageMotionMeter:
     ) -> tuple[float, float, float]:
         """Height above the ground around the target's feet and its standard deviation, by the corners' parallax.
 
-        `left` is the (N, 2) motion of the `known` corners that rotation does not explain, `t` what translation over
-        ground at the believed height would make of them, `went` (2,) that of the box.  At height h the translation is
-        t believed / h, so h = believed sum(t . t) / sum(t . left).  Its relative variance is the sum of two: of `left`
-        (attitude, jitter of the frames' times, corners) over the translation that is seen, and of the vehicle's
-        velocity over its translation.  The third number is the deviation by the velocity alone, which successive
-        measurements share.  (inf, inf, 0) when there is no box, too little to see, or when the corners do not move as
-        those of one level plane do: by more than `PLANE`, or a wall that faces the camera explains them better.  Its
-        points lie one distance ahead, so their motion is t times the ray's ahead / down.
+        `left` is the (N, 2) motion of the `known` corners that rotation does not explain, `t` the translation predicted
+        for ground at the assumed height, `went` (2,) the motion of the box.  At height h the translation is
+        t assumed / h, so h = assumed sum(t . t) / sum(t . left).  Its relative variance is the sum of two: of `left`
+        (attitude, jitter of the frames' times, corners) over the measured translation, and of the vehicle's velocity
+        over its translation.  The third number is the deviation by the velocity alone, which successive measurements
+        share.  Returns (inf, inf, 0) without a box, with too little motion, or when the corners do not move like one
+        level plane: they differ by more than `PLANE`, or a wall that faces the camera explains them better.  A wall's
+        points lie at one distance ahead, so their motion is t times the ray's ahead / down.
         """
-        believed_m = self.ground_down_m - before.down_m
-        if tracked.box_before is None or believed_m < LEAST_HEIGHT_M:
+        assumed_m = self.ground_down_m - before.down_m
+        if tracked.box_before is None or assumed_m < LEAST_HEIGHT_M:
             return NO_HEIGHT
         box = tracked.box_before
         rotation = camera_to_ned(self.down_rad, before.roll_rad, before.pitch_rad, before.yaw_rad)
@@ -203,7 +203,7 @@ class ImageMotionMeter:
         ray = rays(self.camera, pixels) @ rotation.T
         feet = rays(self.camera, [(box.centre_x, box.y + box.h)])[0] @ rotation.T
         down, feet_down = ray[:, 2], float(feet[2])
-        # The ray's fall tells the distance of flat ground: d = h / fall.
+        # Flat ground along a ray lies at the distance d = h / down.
         near = (np.abs(feet_down / np.maximum(down, 1e-6) - 1.0) < NEAR_DEPTH) & ~goes_along(left, t, went)
         if feet_down <= LEAST_FALL or np.count_nonzero(near) < NEAR_CORNERS:
             return NO_HEIGHT
@@ -218,16 +218,16 @@ class ImageMotionMeter:
         jitter_px2 = sum(mean_product(w, j, t) ** 2 / tt for j in self.jittered(pixels[near], before, after))
         left_px2 = (HEIGHT_NOISE_RAD * self.camera.fx) ** 2 + jitter_px2 + off_px2 / len(t)
         seen = left_px2 * tt / lt**2
-        flown_px = self.camera.fx * SPEED_NOISE_M_S * (after.t_s - before.t_s) * feet_down / believed_m
+        flown_px = self.camera.fx * SPEED_NOISE_M_S * (after.t_s - before.t_s) * feet_down / assumed_m
         flown = flown_px**2 / tt
         relative_std = math.sqrt(seen + flown)
         if relative_std > HEIGHT_RELATIVE_STD:
             return NO_HEIGHT
-        height_m = believed_m * tt / lt
+        height_m = assumed_m * tt / lt
         return height_m, height_m * relative_std, height_m * math.sqrt(flown)
 
     def jittered(self, pixels: Array, before: Pose, after: Pose) -> tuple[Array, Array]:
-        """How far (N, 2) pixels' motion by rotation is off when either frame's time is `JITTER_S` wrong, px."""
+        """The error of (N, 2) pixels' motion by rotation when either frame's time is `JITTER_S` wrong, px."""
         rotated, _ = self.expected(pixels, before, after)
         early, _ = self.expected(pixels, self.poses.at(before.t_s - JITTER_S), after)
         late, _ = self.expected(pixels, before, self.poses.at(after.t_s - JITTER_S))
@@ -252,10 +252,10 @@ class ImageMotionMeter:
 
 
 def goes_along(left: Array, t: Array, went: Array) -> Masks:
-    """(N,) whether a corner moved with the target, as its shadow does, and not as the ground must.
+    """(N,) whether a corner moved with the target, as its shadow does, and not with the ground.
 
-    `left` and `t` are the (N, 2) motions of the corners as measured and as expected of the ground, `went` (2,) that of
-    the target.  A target that moves as the ground does tells nothing.
+    `left` and `t` are the (N, 2) motions of the corners, measured and predicted for the ground, `went` (2,) that of the
+    target.  All False for a target whose motion cannot be told from the ground's.
     """
     apart = np.linalg.norm(went - t, axis=1) > APART * np.linalg.norm(t, axis=1)
     return apart & (np.linalg.norm(left - went, axis=1) < np.linalg.norm(left - t, axis=1))
@@ -267,7 +267,7 @@ def within(box: Box, camera: Intrinsics) -> bool:
 
 
 def follows(before: Box | None, box: Box | None) -> bool:
-    """Whether a box may be on what the one in the frame before was on: it moved by less than its own size."""
+    """Whether a box may show the same object as the one in the frame before: it moved by less than its own size."""
     if before is None or box is None:
         return False
     moved = math.hypot(box.centre_x - before.centre_x, box.centre_y - before.centre_y)
@@ -288,7 +288,7 @@ def shrunk_grey(image: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], float]:
 def corners(image: NDArray[np.uint8], box: Box | None, scale: float) -> NDArray[np.float32] | None:
     """(N, 1, 2) corners of a grey image around the target's box, which is in full-size pixels; None for too few.
 
-    A third of them are sought on the ground beside the target's feet: its height there is what is flown by.
+    A third of them are sought on the ground beside the target's feet, because that ground's height gives the range.
     """
     mask = np.full(image.shape, 255, np.uint8)
     found = [np.empty((0, 1, 2), np.float32)]
@@ -312,7 +312,7 @@ def paint(mask: NDArray[np.uint8], box: Box, scale: float, value: int) -> None:
 
 
 def strongest(image: NDArray[np.uint8], most: int, mask: NDArray[np.uint8], apart_px: int) -> NDArray[np.float32]:
-    """(N, 1, 2) of the strongest corners where the mask is set; none gives an empty array."""
+    """(N, 1, 2) of the strongest corners where the mask is set."""
     found = np.asarray(cv2.goodFeaturesToTrack(image, most, QUALITY, apart_px, mask=mask), np.float32)
     return found if found.ndim == 3 else np.empty((0, 1, 2), np.float32)
 
@@ -340,14 +340,14 @@ def mean_product(w: Array, u: Array, v: Array) -> float:
 
 
 def residual(w: Array, u: Array, v: Array) -> float:
-    """The weighted mean square of what no multiple of v explains of u, (N, 2) motions, px²."""
+    """The weighted mean square of the part of u that no multiple of v explains, (N, 2) motions, px²."""
     vv, uv = mean_product(w, v, v), mean_product(w, u, v)
     off = u - uv / max(vv, 1e-12) * v
     return mean_product(w, off, off)
 
 
 def solve(rr: float, rt: float, tt: float, mr: float, mt: float) -> tuple[float, float]:
-    """(a, b) of least squares for m = a r + b t; a part that hardly moves (under 0.1 px) gets the other's share."""
+    """(a, b) of least squares for m = a r + b t, regularised: the factor of a part under 0.1 px shrinks to 0."""
     ridge = 0.01  # px²
     det = (rr + ridge) * (tt + ridge) - rt * rt
     return (mr * (tt + ridge) - mt * rt) / det, (mt * (rr + ridge) - mr * rt) / det

@@ -31,19 +31,20 @@ from follow.ranges import require_numbers
 SIZE = 11
 N, E, D, VN, VE, MN, ME, L, BX, BY, BS = range(SIZE)
 STIRRED = 6.0
-"""Squared distance of a box from its prediction, of three degrees of freedom, that shows a manoeuvre: chance 11 %."""
+"""Squared Mahalanobis distance (three degrees of freedom) of a box that counts as a manoeuvre: noise exceeds it in
+11 % of frames."""
 
 SURPRISE_M_S = 1.5
-"""Change of velocity that is expected of a target whose box shows a manoeuvre, in one frame."""
+"""Standard deviation added to the velocity in a frame that shows a manoeuvre."""
 
 STIR_KEPT = math.exp(-1 / 90)
-"""A target becomes calm within about 90 boxes that came where they were predicted: 3 s of them."""
+"""Decay of `stir` per box that matches its prediction: a time constant of 90 boxes, 3 s."""
 
 TREND_KEPT = math.exp(-1 / 10)
-"""A manoeuvre is also seen in about 10 boxes together: a turn puts each off by less than its noise, all to one side."""
+"""Decay of `trend` per box, over about 10: in a turn each box is off by less than its noise, but all to one side."""
 
 CLEAR_M = 0.5
-"""A line of sight is at least this long; nearer the directions mean nothing."""
+"""Lower limit of a line of sight's length: nearer, directions are meaningless."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,9 +53,9 @@ class Motion:
 
     accel_psd: float = 0.4  # Spectral density of the target's acceleration, m²/s³: lower lags, higher is noisier.
     turn_psd: float = 0.05  # Added to accel_psd times the speed squared, 1/s: faster targets turn harder.
-    calm: float = 0.02  # Fraction of both that remains for a target whose boxes come where they are predicted.
+    calm: float = 0.02  # Fraction of accel_psd and turn_psd kept while the boxes match their prediction.
     slope_std: float = 0.06  # Standard deviation of the ground's gradient: most paths have 0 to 10 %, 20 % is rare.
-    slope_length_m: float = 200.0  # Distance over which a gradient is forgotten.
+    slope_length_m: float = 200.0  # Correlation length of the ground's gradient.
     vertical_psd: float = 1e-3  # Spectral density of other vertical motion, m²/s: gait, kerbs.
     angle_bias_std_rad: float = 0.007  # Slowly varying error of a bearing: a small autopilot's attitude, the box.
     size_bias_std: float = 0.1  # Slowly varying error of the box's height: RACF's was 0.09 RMS over thirty flights.
@@ -69,8 +70,8 @@ class JointFilter:
     """State of the filter at `t_s`: mean (11,) and covariance (11, 11) in the order of the module's docstring.
 
     The covariance is that for a known size: its row and column L are zero, and `size_var` is the variance of l.
-    `stir` is 1 for a target that manoeuvres as hard as `Motion` expects, 0 for one that is calm.  `trend` (3,) is the
-    sum of the past innovations, whitened and each fading by TREND_KEPT a box.
+    `stir` scales the process noise: 1 for a target that manoeuvres as hard as `Motion` expects, 0 for a steady one.
+    `trend` (3,) is the sum of the past whitened innovations, each multiplied by TREND_KEPT per box.
     """
 
     t_s: float
@@ -98,7 +99,7 @@ class Sight:
 
 
 def predicted(f: JointFilter, t_s: float, m: Motion) -> JointFilter:
-    """The filter at a later `t_s`; backward in time it stays.
+    """The filter predicted to `t_s`; an earlier `t_s` returns it unchanged.
 
     White acceleration of density q: Q = q [[t³/3, t²/2], [t²/2, t]] on each axis (Bar-Shalom et al., 2001, §6.2.2).
     The gradient and the biases are first-order Gauss-Markov processes (ibid. §8.2), over distance and over time.
@@ -107,8 +108,8 @@ def predicted(f: JointFilter, t_s: float, m: Motion) -> JointFilter:
     if dt <= 0:
         return f
     mean, v = f.mean.copy(), f.mean[VN : VE + 1]
-    way = dt * math.sqrt(float(v @ v) + f.covariance[VN, VN] + f.covariance[VE, VE])
-    keep_slope, keep_bias = math.exp(-way / m.slope_length_m), math.exp(-dt / m.bias_s)
+    distance_m = dt * math.sqrt(float(v @ v) + f.covariance[VN, VN] + f.covariance[VE, VE])
+    keep_slope, keep_bias = math.exp(-distance_m / m.slope_length_m), math.exp(-dt / m.bias_s)
     step = np.eye(SIZE)
     step[N, VN] = step[E, VE] = dt
     step[D, VN : VE + 1] = dt * mean[MN : ME + 1]
@@ -120,23 +121,23 @@ def predicted(f: JointFilter, t_s: float, m: Motion) -> JointFilter:
     mean[D] += dt * float(mean[MN : ME + 1] @ v)
     mean[MN : ME + 1] *= keep_slope
     mean[BX:] *= keep_bias
-    covariance = step @ f.covariance @ step.T + process_noise(v, way, f.stir, dt, m)
+    covariance = step @ f.covariance @ step.T + process_noise(v, distance_m, f.stir, dt, m)
     return replace(f, t_s=t_s, mean=mean, covariance=covariance)
 
 
-def process_noise(v: Array, way_m: float, stir: float, dt: float, m: Motion) -> Array:
-    """(11, 11) covariance added in `dt` to a target that goes `way_m` along v."""
+def process_noise(v: Array, distance_m: float, stir: float, dt: float, m: Motion) -> Array:
+    """(11, 11) covariance added in `dt` to a target that moves `distance_m` along v."""
     noise = np.zeros((SIZE, SIZE))
     q = (m.calm + (1 - m.calm) * stir) * (m.accel_psd + m.turn_psd * float(v @ v))
-    for place, speed in ((N, VN), (E, VE)):
-        noise[place, place] = q * dt**3 / 3
-        noise[place, speed] = noise[speed, place] = q * dt**2 / 2
+    for position, speed in ((N, VN), (E, VE)):
+        noise[position, position] = q * dt**3 / 3
+        noise[position, speed] = noise[speed, position] = q * dt**2 / 2
         noise[speed, speed] = q * dt
     per_m = 2 * m.slope_std**2 / m.slope_length_m
     course = v / max(float(np.linalg.norm(v)), 1e-3)
-    noise[D, D] = per_m * way_m**3 / 3 + m.vertical_psd * dt
-    noise[D, MN : ME + 1] = noise[MN : ME + 1, D] = per_m * way_m**2 / 2 * course
-    forgotten = m.slope_std**2 * -math.expm1(-2 * way_m / m.slope_length_m)
+    noise[D, D] = per_m * distance_m**3 / 3 + m.vertical_psd * dt
+    noise[D, MN : ME + 1] = noise[MN : ME + 1, D] = per_m * distance_m**2 / 2 * course
+    forgotten = m.slope_std**2 * -math.expm1(-2 * distance_m / m.slope_length_m)
     noise[MN, MN] = noise[ME, ME] = forgotten
     bias = -math.expm1(-2 * dt / m.bias_s)
     noise[BX, BX] = noise[BY, BY] = bias * m.angle_bias_std_rad**2
@@ -162,7 +163,7 @@ def in_sight(covariance: Array, length: float, axes: Array, *, back: bool = Fals
 
 @dataclass(frozen=True, slots=True)
 class Innovation:
-    """What a box adds: innovation (3,) right, down (radians) and ln size, and its covariance (3, 3)."""
+    """A box minus its prediction: (3,) right, down (radians) and ln size, and its covariance (3, 3)."""
 
     residual: Array
     covariance: Array
@@ -184,7 +185,7 @@ OBSERVE[2, [2, BS]] = -1.0, 1.0
 
 
 def innovation(f: JointFilter, camera_ned: Array, sight: Sight, noise: Array) -> Innovation:
-    """How far a box lies from the prediction, with `noise` (3,) the standard deviations of its white errors."""
+    """A box minus its prediction; `noise` (3,) holds the standard deviations of its white errors."""
     length, axes = sight_axes(f.mean[:3] - camera_ned)
     p = in_sight(f.covariance, length, axes)
     right, down, along = axes.T @ sight.toward
@@ -210,7 +211,7 @@ def corrected(f: JointFilter, camera_ned: Array, sight: Sight, noise: Array) -> 
     away = toward / np.linalg.norm(toward) * length * math.exp(min(max(change[2], -1.0), 1.0))
     mean = f.mean + change
     mean[:3] = camera_ned + away
-    if step.distance2 > STIRRED:  # the target turned or set off: all of its velocity is in doubt
+    if step.distance2 > STIRRED:  # the target turned or set off: widen its velocity on both axes
         p[[VN, VE], [VN, VE]] += SURPRISE_M_S**2
     return replace(f, mean=mean, covariance=in_sight(p, *sight_axes(away), back=True), stir=stir, trend=trend)
 
@@ -226,7 +227,7 @@ def height_row(f: JointFilter, camera_ned: Array, middle: float) -> tuple[float,
 
 
 def scaled(f: JointFilter, camera_ned: Array, velocity: Array, change: float) -> JointFilter:
-    """The filter with its size larger by a factor exp(change), and with it all that was measured in sizes.
+    """The filter with the size, the range and the velocity relative to the camera multiplied by exp(change).
 
     `velocity` (2,) is the camera's own, north and east.
     """
@@ -240,12 +241,12 @@ def scaled(f: JointFilter, camera_ned: Array, velocity: Array, change: float) ->
 
 
 def with_size(f: JointFilter, camera_ned: Array, velocity: Array) -> Array:
-    """The covariance (11, 11) with the uncertainty of the size in it, that of all lengths at once."""
-    lean = np.zeros(SIZE)
-    lean[:3] = f.mean[:3] - camera_ned
-    lean[VN : VE + 1] = f.mean[VN : VE + 1] - velocity
-    lean[L] = 1.0
-    return f.covariance + f.size_var * np.outer(lean, lean)
+    """The covariance (11, 11) including the size's variance, which scales all lengths together."""
+    derivative = np.zeros(SIZE)  # of the state by l
+    derivative[:3] = f.mean[:3] - camera_ned
+    derivative[VN : VE + 1] = f.mean[VN : VE + 1] - velocity
+    derivative[L] = 1.0
+    return f.covariance + f.size_var * np.outer(derivative, derivative)
 
 
 def started(
@@ -266,7 +267,7 @@ def started(
     mean[VN : VE + 1] = velocity
     mean[L] = math.log(size_m)
     angle = m.angle_bias_std_rad**2
-    # The size is that of the first box, error and all: b_s begins at zero.
+    # The first box defines the size, its error included: b_s begins at zero.
     p = np.diag(
         [
             *(noise[:2] ** 2 + angle),

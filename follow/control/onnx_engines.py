@@ -1,4 +1,4 @@
-"""What runs an ONNX network: OpenCV, which is always there, else ONNX Runtime, the extra `detector`."""
+"""The engines that run an ONNX network: OpenCV, always installed, or ONNX Runtime, from the extra `detector`."""
 
 # pyright: reportMissingImports=false
 # The extra may be missing where types are checked.

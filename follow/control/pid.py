@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 
 OBEYED = 0.1
-"""An output counts as flown within this fraction of its limit: an autopilot's lag and gusts are smaller."""
+"""Fraction of the limit within which an output counts as flown: an autopilot's lag and gusts deviate by less."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,8 +43,8 @@ class Pid:
         """Return the output for this error (desired minus measured), `dt_s` after the last one.
 
         A step with dt <= 0 neither integrates nor differentiates.  Anti-windup by conditional integration: the integral
-        stays when the output is at its limit and the error pushes further, and when `flown` (the measured value of the
-        output) differs from the last output by more than OBEYED, because the vehicle then does not carry it out.
+        is frozen while the output is at its limit and the error pushes further, and while `flown` (the measured value
+        of the output) differs from the last output by more than OBEYED, because the vehicle does not carry it out.
         """
         g = self.gains
         if dt_s > 0:

@@ -26,7 +26,7 @@ COUNTED_M = 0.3
 """A step this large is a jump when the autopilot counts one."""
 
 ACCEL_M_S2 = 6.0
-"""More acceleration than a vehicle flies in a turn or a stop (30 degrees of tilt)."""
+"""Upper limit of the vehicle's own acceleration in a turn or a stop (30 degrees of tilt)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +77,7 @@ class PoseHistory:
                 self.drift.update(state)
 
     def jump(self, state: VehicleState, least_m: float) -> Array | None:
-        """Return how far (3,) a new state's position is from where its velocity leads; None for less than `least_m`.
+        """Return (3,) the new position minus the one extrapolated by velocity; None below `least_m`.
 
         The vehicle's own acceleration may explain ACCEL_M_S2 dt²/2 of it.  When the autopilot counts a reset of its
         estimator, COUNTED_M is enough.  None also before the first position.
@@ -157,7 +157,7 @@ def bracket(
 
 
 def gap_s(states: deque[VehicleState], time: Callable[[VehicleState], float], t_s: float) -> float:
-    """Seconds between the states around `t_s`, 0 at the very time of one; inf before the first and after the last."""
+    """Seconds between the states around `t_s`, 0 exactly at one; inf before the first and after the last."""
     a, b, _ = bracket(states, time, t_s)
     if a is b:
         return 0.0 if t_s == time(a) else math.inf

@@ -1,8 +1,8 @@
-"""Whether what a tap found can be a target: on the ground, below the horizon, and near enough to be followed.
+"""Whether the object at a tap can be a target: on the ground, below the horizon, and near enough to be followed.
 
 Near the horizon a pixel is tens of metres, and a patch of meadow, a hedge or a cloud stands out as well as a person.
-The attitude at the frame's time says where the horizon is, the height over the start's ground how far the ground under
-the box's lower edge is.  A box that a person draws is not judged: its size says what is meant.
+The attitude at the frame's time gives the horizon, the height over the start's ground gives the distance of the ground
+at the box's lower edge.  A box that a person draws is not checked: the person chose its size.
 """
 
 import math
@@ -17,15 +17,15 @@ from follow.messages import NEVER, VehicleState
 from racf.box import Box
 
 LEAST_HEIGHT_M = 2.0
-"""Lower, or on the ground, a person stands out above the horizon: a tap is not judged."""
+"""Taps are not checked below this height: from there a person may reach above the horizon."""
 
 TALL_M = 1.5
-"""Where a target of this height (a car, a cyclist) has MIN_SIDE_PX rows, a tap's reach ends: 95 m with 80 degrees of
+"""A tap reaches as far as a target of this height (a car, a cyclist) has MIN_SIDE_PX rows: 95 m with 80 degrees of
 view in 640 columns."""
 
 
 def why_out_of_reach(target: Target, box: Box, t_s: float) -> str:
-    """Why the box, in the frame of `t_s`, is no target that can be followed; empty if it is one or nothing is known."""
+    """Why the box, in the frame of `t_s`, cannot be followed; empty if it can, or if the vehicle's pose is unknown."""
     state = newest(target)
     if state is None or not state.in_air:
         return ""

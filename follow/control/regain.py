@@ -1,9 +1,8 @@
-"""A target that was lost: where to look for it, and whether somebody who is found can be it.
+"""A lost target: where to search for it, and whether a candidate that was found can be it.
 
-A candidate is the target only where the target can be.  The places that are as likely as the candidate's, and those
-that are likelier, cover an area: within the distance r of the path from the last place seen to the predicted one, of
-length l, that is 2 r l + pi r^2.  The larger it is, and the longer the target was unseen, the more probably somebody
-else has come to stand in it.
+A candidate can be the target only where the target can be.  The positions at least as likely as the candidate's cover
+an area: within the distance r of the path from the last seen position to the predicted one, of length l, that is
+2 r l + pi r^2.  The larger this area, and the longer the target was unseen, the more probably it holds somebody else.
 """
 
 import math
@@ -18,44 +17,45 @@ from follow.geometry import Array, wrap
 from follow.messages import OtherSighting
 
 LOOK_M, LOOK_ALONG = 10.0, 0.5
-"""A lost target is looked for at most this far to either side, and along its course by this part of its way."""
+"""Largest half-axis of the search ellipse from the covariance, and the least one along the course, as a fraction of
+the distance from the last seen position to the predicted one."""
 
 LOOK_REACH_M = 1.5
-"""The tracker finds somebody this far from the place at which it looks: its search region is 4 m across."""
+"""The tracker finds the target within this distance of the position it searches: its search region is 4 m across."""
 
 LOOKS = round((LOOK_M / LOOK_REACH_M) ** 2)
-"""Largest number of places."""
+"""Largest number of search positions in the ellipse."""
 
 
 def looked_for(f: JointFilter, seen_ned: Array, look: int) -> Array:
-    """Where (3,), NED, to look for a lost target in the `look`-th frame: the predicted place in every second one.
+    """The position (3,), NED, to search in the `look`-th frame after a loss: the predicted one in every second frame.
 
-    The others go through an ellipse around it: two standard deviations to either side of its course and along it, and
-    along it so far that it may have been half as fast or half as fast again.
+    The others cover an ellipse around it: two standard deviations across its course and along it, and along it at
+    least far enough for half the predicted speed or one and a half times that.
     """
     if look % 2 == 0:
         return f.mean[:3]
-    way = f.mean[:2] - seen_ned[:2]
-    length = float(np.linalg.norm(way))
-    course = way / length if length > 0.1 else np.array([1.0, 0.0])
+    path = f.mean[:2] - seen_ned[:2]
+    length = float(np.linalg.norm(path))
+    course = path / length if length > 0.1 else np.array([1.0, 0.0])
     across = np.array([-course[1], course[0]])
     stds = [math.sqrt(max(float(axis @ f.covariance[:2, :2] @ axis), 0.0)) for axis in (course, across)]
     ahead, aside = (min(2 * std, LOOK_M) for std in stds)
     ahead = max(ahead, LOOK_ALONG * length)
     looks = min(max(math.ceil(ahead * aside / LOOK_REACH_M**2), 1), LOOKS)
     step = look // 2 % looks
-    reach, angle = math.sqrt((step + 0.5) / looks), 2.4 * step  # the golden angle: as the seeds of a sunflower lie
-    place = f.mean[:3].copy()
-    place[:2] += reach * (ahead * math.cos(angle) * course + aside * math.sin(angle) * across)
-    return place
+    radius, angle = math.sqrt((step + 0.5) / looks), 2.4 * step  # golden angle: a sunflower spiral covers it evenly
+    position = f.mean[:3].copy()
+    position[:2] += radius * (ahead * math.cos(angle) * course + aside * math.sin(angle) * across)
+    return position
 
 
 def next_look(f: JointFilter, seen_ned: Array, looks: int, in_image: Callable[[Array], bool]) -> tuple[int, Array]:
-    """The number of the next look after `looks`, and its place (3,): one in the image, unless there is none."""
+    """The number and position (3,) of the next look after `looks`: the first in the image, else the predicted one."""
     for look in range(looks + 1, looks + 1 + 2 * LOOKS):
-        place = looked_for(f, seen_ned, look)
-        if in_image(place):
-            return look, place
+        position = looked_for(f, seen_ned, look)
+        if in_image(position):
+            return look, position
     return looks + 1, f.mean[:3]
 
 
@@ -68,27 +68,27 @@ def distance_to_segment(point: Array, start: Array, end: Array) -> float:
 
 
 WALK_M_S, WALK_S = 1.5, 3.0
-"""Speed of somebody else who was found where the target could not be, and how long he is expected to walk unseen."""
+"""Walking speed of another person between two sightings, and the longest time over which it is extrapolated."""
 
 COMES_S = 6.0
-"""Time in which as many other people come to stand in an area as it holds on average: they walk 8 m."""
+"""Time in which as many other people enter an area as it holds on average: they walk 8 m."""
 
 NEW_S = 1.0
-"""Somebody who was found keeps his distance from the vehicle for this long."""
+"""The newest candidate counts for the distance to other people for this long."""
 
 OTHERS = 16
 """Number of other people remembered, those found last."""
 
 NOT_TAKEN = "not taken: another person, select again"
-"""What the operator is told of a candidate that cannot be the target."""
+"""Message to the operator about a candidate that cannot be the target."""
 
 SAID_S = 3.0
-"""The operator is told so for this long after the candidate was found last."""
+"""The message is shown for this long after the last sighting of that candidate."""
 
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """A box found after a loss: the place (2,), north and east, that direction and size give it, and its deviation.
+    """A box found after a loss: its position (2,), north and east, by direction and size, with a standard deviation.
 
     `down_m` is the height of its middle.
     """
@@ -106,11 +106,11 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True)
 class PathDistance:
-    """Where a candidate stands against where the target can be.
+    """Where a candidate is, relative to the positions that the target can have.
 
     `aside_m` is its distance from the path, less its own deviation; `path_m` the path's length.  `is_near` says that
     distance and height are within the filter's own uncertainty.  `unseen_s` is the time since the loss.
-    `is_on_ground` says that it is as high as the ground there can be: what is not is nobody.
+    `is_on_ground` says that its height is plausible for the ground there; otherwise it is not a person.
     """
 
     aside_m: float
@@ -121,9 +121,9 @@ class PathDistance:
 
     @property
     def area_m2(self) -> float:
-        """Area of the places that are at least as likely, as large as that around one place at least.
+        """Area of the positions that are at least as likely as this one, at least that around one position.
 
-        That of the way counts by the time since the loss: others come into it one by one.
+        The area grows with the time since the loss, because other people enter it one by one.
         """
         around = math.pi * self.aside_m**2
         return max(around, (2 * self.aside_m * self.path_m + around) * self.unseen_s / COMES_S)
@@ -131,7 +131,7 @@ class PathDistance:
 
 @dataclass(slots=True)
 class OtherPerson:
-    """Somebody found where the target could not be: where and when last, and the number of frames that showed it."""
+    """Somebody found where the target could not be: the last sighting, and the number of frames that showed it."""
 
     last: Candidate
     frames: int = 1
@@ -139,11 +139,11 @@ class OtherPerson:
 
 @dataclass(slots=True)
 class Regain:
-    """What was found since the target was lost: the candidate on trial, and those who are somebody else.
+    """What was found since the target was lost: the candidate on trial, and other people.
 
-    Who once stood where the target could not be stays somebody else, also when the target may have come there by now.
+    Somebody once found where the target could not be stays another person, even if by now the target could be there.
     `frames` is the number of consecutive frames that showed the candidate on trial; `found` is the newest candidate,
-    whatever came of it.
+    accepted or not.
     """
 
     frames: int = 0
@@ -159,7 +159,7 @@ class Regain:
         self.frames = 0
 
     def shift(self, jump_ned: Array) -> None:
-        """Move what is remembered with the vehicle's own position estimate, which jumped by (3,) metres."""
+        """Move all remembered positions with the vehicle's own position estimate, which jumped by (3,) metres."""
         for other in self.others:
             other.last = replace(other.last, place=other.last.place + jump_ned[:2])
         if self.last is not None:
@@ -178,11 +178,11 @@ class Regain:
         return OtherSighting(azimuth_rad, range_m, self.found.down_m - float(pose.position_ned[2]))
 
     def doubt(self, t_s: float) -> str:
-        """Who was found and is not taken, in words; empty if there is nobody."""
+        """The message about a rejected candidate; empty if there is none."""
         return self.told if 0.0 <= t_s - self.told_t_s <= SAID_S else ""
 
     def admits(self, found: Candidate, distance: PathDistance, area_m2: float, confirm: int) -> bool:
-        """Whether the candidate can be the target; if so the trial goes on, or begins with it."""
+        """Whether the candidate can be the target; if so it starts or continues the trial."""
         if not all(map(math.isfinite, (*found.place, found.down_m, found.std_m))):
             self.miss()
             return False
@@ -207,8 +207,8 @@ class Regain:
         return True
 
     def confirmed(self, t_s: float, lost_t_s: float, confirm: int, fraction: float) -> bool:
-        """Whether the candidate was right in enough consecutive frames, for a fraction of the time since the loss."""
+        """Whether the trial lasted enough frames, and a fraction of the time from the loss to its begin."""
         if self.begun is None:
             return False
-        asked_s = fraction * (self.begun.t_s - lost_t_s)
-        return self.frames >= confirm and t_s - self.begun.t_s >= asked_s - 1e-9
+        needed_s = fraction * (self.begun.t_s - lost_t_s)
+        return self.frames >= confirm and t_s - self.begun.t_s >= needed_s - 1e-9

@@ -27,7 +27,7 @@ Snap = Callable[[Image, float, float], Box | None]
 """The box of the object at a place (x, y in pixels) of an image, None without one."""
 
 EARLY_S = 0.1  # a selection may name a frame this much older than the oldest one that is kept
-MIN_SIDE_PX = 6.0  # a smaller target has no features to hold
+MIN_SIDE_PX = 6.0  # a smaller target has no features to track
 MIN_CONTRAST = 3.0  # standard deviation of grey levels: sensor noise alone is 1 to 3
 CATCH_UP = 4  # frames tracked in a round while behind: 4 x 5 ms on one core of a Pi 5
 
@@ -52,11 +52,11 @@ class Start:
 class Selector:
     """The loop's tracker for a target that comes from a person: `update` returns None while there is no target.
 
-    `init` learns the target in a box, `track` finds it again, around the prior if there is one; `begin` is called as a
-    new target has been caught up with, so that nothing of the old one is believed.  `box` is the target in the first
-    frame, None to wait for a selection.  `looks` finds the box of a click beside the loop (None: at once); then
-    `decided` is told why there is none, empty if there is one.  `snap` finds an object's box at a place; GrabCut finds
-    one if it does not.
+    `init` learns the target in a box, `track` finds it again, around the prior if there is one.  `begin` is called when
+    the tracker has caught up with a new target, so that the estimate forgets the old one.  `box` is the target in the
+    first frame, None to wait for a selection.  `looks` runs the search for a click's box outside the loop (None: in
+    it); `decided` then gets the reason why there is no box, or "".  `snap` finds an object's box at a click; GrabCut is
+    the fallback.
     """
 
     def __init__(
@@ -82,16 +82,16 @@ class Selector:
 
     @property
     def has_target(self) -> bool:
-        """Whether there is a target, caught up with or not."""
+        """Whether there is a target; the tracker may still be catching up with it."""
         return self._has_target or self._start is not None or self._first is not None
 
     @property
     def is_looking(self) -> bool:
-        """Whether the box of a click is looked for; `decided` will be told."""
+        """Whether a search for a click's box is running; `decided` gets its result."""
         return self._looking is not None
 
     def choose(self, choice: Choice) -> str:
-        """Take a selection or a stop; returns why it is refused, empty if it is taken."""
+        """Take a selection or a stop; returns why it is refused, or "" if it is accepted."""
         if isinstance(choice, Cleared):
             self.clear()
             return ""
@@ -99,7 +99,7 @@ class Selector:
         if isinstance(frame, str):
             return frame
         if choice.is_point and self._looks is not None:
-            self._look_no_more()
+            self._cancel_look()
             self._looking = self._looks.submit(meant, choice, frame.image, self._snap), frame
             return ""
         return self._take(meant(choice, frame.image, self._snap), frame, is_tap=choice.is_point)
@@ -109,24 +109,24 @@ class Selector:
         if why or isinstance(box, str):
             return why
         self._start, self._first = Start(box, frame), None
-        self._look_no_more()
+        self._cancel_look()
         return ""
 
-    def _look_no_more(self) -> None:
-        """The click whose box is looked for is void; one that still waits behind another is not looked at."""
+    def _cancel_look(self) -> None:
+        """Drop the search for a click's box; a search that is still queued never starts."""
         if self._looking is not None:
             self._looking[0].cancel()
         self._looking = None
 
     def restart(self) -> None:
-        """Start again in the next frame, on the box of the beginning."""
+        """Start again in the next frame, on the box given at the start."""
         self.clear()
         self._first = self._box_at_start
 
     def clear(self) -> None:
         """Forget the target."""
         self._start, self._first, self._done_t_s, self._has_target = None, None, None, False
-        self._look_no_more()
+        self._cancel_look()
         self._begin()
 
     def frame_of(self, selection: Selection) -> Frame | str:
@@ -147,14 +147,14 @@ class Selector:
             box, self._first, self._has_target = self._first, None, True
             return self._init(image, box)
         if self._start is not None:
-            return self._caught_up(self._start)
+            return self._begin_at(self._start)
         if not self._has_target:
             return None
         if self._done_t_s is not None:
             return self._catch_up(self._done_t_s, self._box)
         return self._track(image, prior)
 
-    def _caught_up(self, start: Start) -> Track:
+    def _begin_at(self, start: Start) -> Track:
         self._start, self._has_target = None, True
         track = self._init(start.frame.image, start.box)
         if start.frame.index == self._recent.kept[-1].index:

@@ -1,7 +1,7 @@
 """Where the target is and how it moves: boxes and the vehicle's pose in, Estimate out.
 
-`joint_filter` holds the equations and `ground` what is known of the ground's height.  Here a box becomes a measurement
-and is accepted or rejected.
+`joint_filter` holds the equations, `ground` the measurements of the ground's height.  This module turns a box into a
+measurement and accepts or rejects it.
 """
 
 import math
@@ -36,7 +36,7 @@ from racf.box import Box
 from racf.track import Track
 
 CUT = 5.0
-"""A box that reaches out of the image is this many times less certain: what it shows is a part of the target."""
+"""Factor on the noise of a box that reaches out of the image: only a part of the target is visible."""
 
 FAR_M = 1e3
 """Range, and its uncertainty, of a target that was never seen."""
@@ -57,25 +57,25 @@ class TargetConfig:
     speed_std_m_s: float = 3.0  # Speed of the target expected at the start: that of a runner.
     motion: Motion = field(default_factory=Motion)
     ground: GroundTrust = field(default_factory=GroundTrust)
-    near_sigmas: float = 2.0  # Standard deviations between the range and the nearest possible one: 97.7 % lie farther.
-    jump_m: float = 1.5  # Step of the vehicle's position beyond its velocity that is a reset of its estimator.
-    gate_noise: float = 2.5  # The gate on boxes expects errors this many times larger: who sets off is no other target.
+    near_sigmas: float = 2.0  # Standard deviations between the range and the nearest plausible one: 97.7 % lie farther.
+    jump_m: float = 1.5  # Least jump of the position, beyond what the velocity explains, that is an estimator reset.
+    gate_noise: float = 2.5  # Factor on the boxes' noise in the outlier gate, so that a target that sets off passes.
     gate_sigmas: float = 4.0  # Largest distance of a box from the prediction, in standard deviations.
     gate_size: float = 2.0  # Largest ratio of a box's size to the expected size, or of its inverse.
     lost_after_s: float = 0.5  # A target not seen for this long must be confirmed.
     confirm: int = 3  # Number of consecutive frames that confirm a target.
-    confirm_fraction: float = 0.05  # Fraction of the time unseen over which frames must confirm a target.
-    regain_sigmas: float = 3.0  # Largest distance of a target found again, in standard deviations.
-    regain_area_m2: float = 100.0  # Largest area of likelier places: one person in 400 m², 0.4 of them alike, is 10 %.
+    confirm_fraction: float = 0.05  # Confirmation must also last this fraction of the time unseen before it.
+    regain_sigmas: float = 3.0  # Largest distance of a candidate from the lost target's path, in standard deviations.
+    regain_area_m2: float = 100.0  # Largest area to confuse people in: one in 400 m², 40 % of them alike, errs in 10 %.
     # Ratios of PSR to the target's running mean, measured on ten real sequences (docs/confidence.md):
     psr_ratio_lost: float = 0.6  # Ratio of PSR to its mean, below which a box is rejected: 3 % on target, 97 % off.
     psr_ratio_regained: float = 0.7  # The same ratio while a target must be confirmed: 5 % on target, 99 % off.
-    psr_cap: float = 20.0  # Cap of the mean PSR: a PSR of 15 is the target although it was 40 before.
-    psr_rate: float = 0.01  # Gain of the mean PSR for each accepted frame: it follows within about three seconds.
+    psr_cap: float = 20.0  # Cap of the mean PSR: after a mean of 40 a PSR of 15 is still accepted.
+    psr_rate: float = 0.01  # Gain of the running mean of PSR per accepted frame: a time constant of about 3 s.
     settle: int = 5  # Number of frames before the mean PSR is used: the first response can be far sharper.
-    steady_s: float = 6.0  # Assume constant velocity for this long after the last sighting: past a wall or some trees.
+    steady_s: float = 6.0  # Assume constant velocity for this long after the last sighting: time to pass some trees.
     coast_s: float = 6.0  # Time constant with which an unseen target slows down after steady_s.
-    wait_s: float = 0.1  # Longest wait for the attitude at a frame's time: as old as the gate lets attitude be.
+    wait_s: float = 0.1  # Longest wait for the attitude at a frame's time: as old as the gate accepts attitude.
     compensate: bool = True  # Use the pose at the frame's time, and predict over the delay.
 
     def __post_init__(self) -> None:
@@ -136,8 +136,8 @@ class Target:
     def predict(self, state: VehicleState, t_s: float, found: Detections | None = None) -> Box | None:
         """Return the box where the target should appear in the frame of `t_s`; None: search around the last one.
 
-        None also while a found target is not yet confirmed: the tracker must stay on it.  A lost target is looked for
-        where it should be in every second frame, in the others at what a detector `found`, and around.
+        Also None while a candidate awaits confirmation, so that the tracker stays on it.  For a lost target every
+        second frame searches the predicted position; the others search what a detector `found`, or around it.
         """
         self.observe(state)
         if self.filter is None or self.box is None or self.regain.frames > 0:
@@ -147,7 +147,7 @@ class Target:
         place = f.mean[:3]
         if t_s - self.seen_t_s > self.config.lost_after_s:
             if any(track.found and self.sharp(track, lost=True) for _, track in self.waiting):
-                return None  # a candidate that waits for the attitude of its frame
+                return None  # a candidate still waits for the attitude at its frame's time
             self.looks, place = next_look(f, self.seen_ned, self.looks, lambda place: self.in_image(place, pose))
             if self.looks % 2 == 1 and found is not None and found.t_s > self.seen_t_s:
                 then = self.pose(state, found.t_s)
@@ -161,7 +161,7 @@ class Target:
         return Box.around(float(pixels[0, 0]), float(pixels[0, 1]), self.box.w * scale, self.box.h * scale)
 
     def in_image(self, place: Array, pose: Pose) -> bool:
-        """Whether a place (3,), NED, lies in the image taken at a pose."""
+        """Whether a position (3,), NED, lies in the image taken at a pose."""
         pixels, depth = project(self.camera, self.rotation(pose), pose.position_ned, place[None, :])
         x, y = pixels[0]
         return bool(depth[0] > 1.0 and 0 <= x < self.camera.width and 0 <= y < self.camera.height)
@@ -171,7 +171,7 @@ class Target:
     ) -> Estimate:
         """Take in the track of the frame of `t_s` (None: no new frame); the estimate is for `state.t_s`.
 
-        `motion` is the newest measurement of the background: its parallax tells where the ground is.
+        `motion` is the newest measurement of the background: its parallax measures the ground's height.
         """
         self.observe(state)
         if motion is not None and math.isfinite(motion.height_std_m):
@@ -203,17 +203,17 @@ class Target:
     def readable(self, t_s: float, state: VehicleState) -> bool:
         """Whether the attitude at a frame's time is known, or `wait_s` has passed.
 
-        Telemetry is some hundredths of a second late.  An extrapolated attitude of a tilting vehicle makes the range
-        swing, and the servo with it; waiting costs nothing, because the estimate is predicted meanwhile.
+        Telemetry arrives some hundredths of a second late.  Extrapolating the attitude of a tilting vehicle makes the
+        range oscillate, and the servo with it; waiting costs nothing, because the estimate is predicted meanwhile.
         """
         late_s = state.t_s - t_s
         known = not self.config.compensate or state.attitude_t_s >= t_s
         return known or not 0 <= late_s < self.config.wait_s or state.attitude_t_s == NEVER
 
     def accept(self, track: Track, t_s: float, pose: Pose) -> bool:
-        """Whether the box is where and as large as the target should be; if so it corrects the filter.
+        """Whether the box has a plausible position and size for the target; if so it corrects the filter.
 
-        After a loss it does so only once it was right, and sharp, in enough consecutive frames.
+        After a loss it corrects the filter only after enough consecutive plausible boxes with a sharp response.
         """
         c, box = self.config, track.box
         if self.filter is None:
@@ -233,7 +233,7 @@ class Target:
             if not self.plausible(f, sight, pose, self.noise(box)):
                 f = self.start(sight, t_s, pose, f)
             self.filter = corrected(f, pose.position_ned, sight, self.noise(box, track.psr))
-        if track.psr > 0:  # the box that was given at the start has no response
+        if track.psr > 0:  # the first box, which a person drew, has no response
             self.accepted += 1
             self.usual_psr += max(c.psr_rate, 1.0 / self.accepted) * (track.psr - self.usual_psr)
         assert self.filter is not None
@@ -245,16 +245,16 @@ class Target:
     def noise(self, box: Box, psr: float = math.inf) -> Array:
         """(3,) standard deviations of a box's white errors.
 
-        They are larger for one that the image's border cuts, and for one whose response is less sharp than usual: where
-        the target begins to be covered the box is drawn to what covers it.
+        They grow for a box that the image's border cuts, and for one whose response is less sharp than usual: as an
+        occlusion begins, the box drifts onto the occluder.
         """
         cut = 1.0 if within(box, self.camera) else CUT
         return self.config.noise * max(cut, self.usual_psr / psr if psr > 0 else 1.0)
 
     def start(self, sight: Sight, t_s: float, pose: Pose, before: JointFilter | None = None) -> JointFilter:
-        """The filter of the first box, its range by the size's prior, or of one found again, by the size learnt before.
+        """Start the filter: range by the size's prior, or after a loss by the size learnt `before`.
 
-        Whoever begins to follow in flight flies along with the target already; otherwise it may go either way.
+        A new target starts with the vehicle's velocity, because a pilot in flight usually accompanies it already.
         """
         c = self.config
         velocity = np.array([pose.north_m_s, pose.east_m_s]) if before is None else before.mean[3:5]
@@ -273,7 +273,7 @@ class Target:
         )
 
     def sharp(self, track: Track, *, lost: bool) -> bool:
-        """Whether the response is as sharp as the target's usually is."""
+        """Whether the response is sharp enough against the target's running mean."""
         c = self.config
         if self.accepted < c.settle and not lost:
             return True
@@ -281,16 +281,16 @@ class Target:
         return track.psr >= least * min(self.usual_psr, c.psr_cap)
 
     def plausible(self, f: JointFilter, sight: Sight, pose: Pose, noise: Array) -> bool:
-        """Whether a box lies within the gate about the prediction, in direction and in size."""
+        """Whether a box passes the outlier gate around the prediction, in direction and in size."""
         c = self.config
         found = innovation(f, pose.position_ned, sight, c.gate_noise * noise)
         return abs(found.residual[2]) <= math.log(c.gate_size) and found.distance2 <= c.gate_sigmas**2
 
     def is_admitted(self, f: JointFilter, sight: Sight, pose: Pose) -> bool:
-        """Whether a box after a loss may be the lost target, which went on, or stayed where it was seen last.
+        """Whether a box after a loss may be the lost target, whether it moved on or stopped.
 
-        By direction and size the box has a position; it must lie near the path from the last position seen to the
-        predicted one, and as high as the ground there can be.
+        Direction and size give the box a position; it must lie near the path from the last seen position to the
+        predicted one, at a height that the ground there can have.
         """
         c, m = self.config, self.config.motion
         range_m = math.exp(min(f.mean[7] + f.mean[10] - sight.size_log, math.log(FAR_M)))
@@ -341,7 +341,7 @@ class Target:
         """Return the filter at `t_s`; a target unseen for longer than `steady_s` slows down."""
         assert self.filter is not None
         c = self.config
-        unknown = t_s - self.filter.t_s > c.lost_after_s  # nothing says that an unseen target stays calm
+        unknown = t_s - self.filter.t_s > c.lost_after_s  # full process noise: an unseen target may manoeuvre
         f = predicted(replace(self.filter, stir=1.0) if unknown else self.filter, t_s, c.motion)
         if unknown:
             f = turned_on(f, f.t_s - self.filter.t_s, self.turning.bend())
@@ -355,7 +355,7 @@ class Target:
         return replace(f, mean=mean)
 
     def estimate(self, state: VehicleState) -> Estimate:
-        """Return the filter's answer for `state.t_s`, seen from where the vehicle is."""
+        """Return the estimate for `state.t_s`, relative to the vehicle."""
         if self.filter is None or self.box is None:
             return Estimate(state.t_s, 0.0, self.down_rad - state.pitch_rad, FAR_M, FAR_M)
         pose = self.motion.at(state.t_s)

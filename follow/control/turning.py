@@ -1,4 +1,4 @@
-"""How fast the target's course turns, and where it goes if it turns on for a moment while nobody sees it."""
+"""How fast the target's course turns, and the prediction if it keeps turning for a moment while unseen."""
 
 import cmath
 import math
@@ -10,7 +10,8 @@ import numpy as np
 from follow.control.joint_filter import ME, MN, VE, VN, D, E, JointFilter, N
 
 TURN_S = 1.0
-"""The turn is that of the last second seen, and is forgotten with this time constant: it is a bend, no circle."""
+"""The turn rate is measured over the last second seen and decays with this time constant: targets turn a corner, they
+do not circle."""
 
 USUAL_S = 5.0
 """Time constant of the usual speed: longer than a turn, shorter than a change of gait."""
@@ -23,8 +24,8 @@ STEPS = 16
 class Bend:
     """How the target is expected to go on after a loss.
 
-    `rate_rad_s` is the rate of its course, positive to the right.  `speed_m_s` is the speed that it takes up again:
-    who slows down to turn goes on as fast as before.  `certainty` is 0 for a target that goes straight, at most 1.
+    `rate_rad_s` is the rate of its course, positive to the right.  `speed_m_s` is the speed that it returns to, because
+    targets slow down only for the turn.  `certainty` is 0 for a target that goes straight, at most 1.
     """
 
     rate_rad_s: float = 0.0
@@ -59,7 +60,7 @@ class Turning:
             self.seen.popleft()
 
     def bend(self) -> Bend:
-        """What the last second shows of a turn, as far as it is larger than its own uncertainty.
+        """The turn over the last second, as far as it exceeds its own uncertainty.
 
         An estimate r of variance s^2 is shrunk to r (1 - s^2/r^2), as James and Stein do.
         """
@@ -73,15 +74,15 @@ class Turning:
         variance = (before_var / abs(before) ** 2 + after_var / abs(after) ** 2) / spent_s**2
         certainty = max(1.0 - variance / rate**2, 0.0) if rate else 0.0
         forward = max(self.turned_rad if rate > 0 else -self.turned_rad, 0.0)
-        most = max(math.pi - forward, 0.0) / TURN_S  # who has turned back goes straight
+        most = max(math.pi - forward, 0.0) / TURN_S  # a target that has turned back by 180 degrees goes straight
         return Bend(min(max(rate * certainty, -most), most), max(self.usual_m_s, abs(after)), certainty)
 
 
 def turned_on(f: JointFilter, unseen_s: float, bend: Bend) -> JointFilter:
-    """The filter of a target predicted `unseen_s` straight along its course, if it went on turning instead.
+    """A filter that was predicted `unseen_s` straight ahead, corrected as if the target kept turning.
 
-    The rate falls as exp(-t/T), so the course turns by r T (1 - exp(-t/T)), and the speed comes to the usual one in the
-    same way.  Whether it does so is not known: the difference from the straight way counts as one standard deviation.
+    The rate decays as exp(-t/T), so the course turns by r T (1 - exp(-t/T)), and the speed returns to the usual one in
+    the same way.  The target may also go straight, so the difference counts as one standard deviation.
     """
     v = complex(f.mean[VN], f.mean[VE])
     if bend.certainty == 0.0 or unseen_s <= 0.0 or abs(v) < 1e-3:
