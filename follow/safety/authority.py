@@ -1,7 +1,7 @@
-"""Who has the vehicle: the life of an order and the mode of the gate, round by round.  Pure functions.
+"""Who controls the vehicle: the pending order and the gate's mode, round by round.  Pure functions.
 
-An order lives `order_timeout_s`.  It dies earlier with a change of the vehicle's mode, a stick, a lost remote control
-or a refusal, and it is refused at once if what forbids it cannot pass by itself.
+An order is pending for at most `order_timeout_s`.  A change of the vehicle's mode, a stick, a lost remote control or a
+refusal voids it earlier.  It is refused at once if a finding forbids it that cannot pass by itself.
 """
 
 from dataclasses import dataclass, replace
@@ -26,7 +26,7 @@ WORDS_S = 3.0
 """The autopilot's last text explains a change of its mode if it is not older than this."""
 
 AFTERWARDS = (Mode.ENDED, Mode.OBSERVE)
-"""The modes in which the vehicle may still be in a mode that was requested here, though nothing is sent."""
+"""Modes without a stream, in which the vehicle may still be in a flight mode that we requested."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,9 +43,9 @@ class Authority:
     """The gate's mode with its reason, and what it must remember of the operator and the vehicle.
 
     `since_s` is when the mode began, `clear_since_s` since when nothing forbids FOLLOW (None: something does) and
-    `clear_t_s` the last round in which nothing did.  `shown` is the finding that READY last waited for, `engaged_from`
-    the vehicle's mode as ENGAGE began, `obeyed_in` that in which it last obeyed, `last` is why BRAKE may not go back to
-    flying.
+    `clear_t_s` the last round in which nothing did.  `shown` is the finding last shown as what READY waits for,
+    `engaged_from` the vehicle's mode when ENGAGE began, `obeyed_in` that in which it last obeyed, `last` is the reason
+    why BRAKE may not return to flying.
     """
 
     mode: Mode = Mode.OBSERVE
@@ -64,10 +64,10 @@ class Authority:
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """What one round knows: all that `judged` needs.
+    """Everything about one round that `judged` needs.
 
-    `old` are the stale data, `stopping` is what must end FOLLOW, `findings` are what forbids it; `is_still` says that
-    the speed last sent is zero.
+    `old` lists the stale data, `stopping` is the reason that must end FOLLOW, `findings` forbid it; `is_still` says
+    that the vehicle has stopped.
     """
 
     state: VehicleState
@@ -141,7 +141,7 @@ def entered(now: Authority, mode: Mode, reason: Reason, facts: Facts) -> Authori
 
 
 def heard(now: Authority, facts: Facts) -> Authority:
-    """The authority with an order that was just given, and without one that the operator took back."""
+    """The authority with a new order, or without one that the operator withdrew."""
     order = facts.instruction.order
     leaving = Reason(Cause.LEAVING, facts.instruction.reason.what) if order is Order.LEAVE else None
     if now.mode is Mode.BRAKE and (last := leaving or facts.stopping):
@@ -157,7 +157,7 @@ def heard(now: Authority, facts: Facts) -> Authority:
             return replace(now, order=None, reason=facts.instruction.reason)
     if order is None or order is Order.FOLLOW:
         return now
-    if now.reason.cause is Cause.ORDER_WAITS:  # it does not wait any more
+    if now.reason.cause is Cause.ORDER_WAITS:  # replace the reason: the order no longer waits
         return replace(now, order=None, reason=facts.instruction.reason)
     return replace(now, order=None)
 
@@ -177,13 +177,13 @@ def order_verdict(now: Authority, facts: Facts, limits: Limits) -> tuple[bool, R
     if findings:
         until = f"{order.by}; waits {limits.order_timeout_s:g} s for: {findings[0].what}"
         return False, Reason(Cause.ORDER_WAITS, until)
-    # The mode that is known may be a second old: somebody may have sent the vehicle home meanwhile.
-    is_news = facts.state.heartbeat_t_s >= order.t_s
-    return is_news, None if is_news else Reason(Cause.ORDER_WAITS, f"{order.by}; waits for a newer heartbeat")
+    # The last known mode may be a second old: somebody may have commanded a return meanwhile.
+    is_newer = facts.state.heartbeat_t_s >= order.t_s
+    return is_newer, None if is_newer else Reason(Cause.ORDER_WAITS, f"{order.by}; waits for a newer heartbeat")
 
 
 def events(now: Authority, facts: Facts, granted: bool, limits: Limits) -> list[Found]:
-    """The events of this round with their reasons, in the order in which the table takes them."""
+    """The events of this round with their reasons, in the order in which the table applies them."""
     found = [*operator_events(now, facts), *vehicle_events(now, facts, limits)]
     findings, t_s = facts.findings, facts.state.t_s
     if findings:
@@ -218,13 +218,13 @@ def operator_events(now: Authority, facts: Facts) -> list[Found]:
 def vehicle_events(now: Authority, facts: Facts, limits: Limits) -> list[Found]:
     """What the vehicle and its data do."""
     state, found = facts.state, list[Found]()
-    strange = state.mode != now.engaged_from and not state.in_control
+    left_before_obeying = state.mode != now.engaged_from and not state.in_control
     if not state.armed:
         found.append((Event.CONTROL_LOST, Reason(Cause.DISARMED)))
-    elif (now.mode in FLYING and not state.in_control) or (now.mode is Mode.ENGAGE and strange):
+    elif (now.mode in FLYING and not state.in_control) or (now.mode is Mode.ENGAGE and left_before_obeying):
         words = f": {state.said}" if 0.0 <= state.t_s - state.said_t_s <= WORDS_S else ""
         left = Reason(Cause.MODE_LEFT, f"{state.mode or 'no known mode'}{words}")
-        # The link gives the vehicle back after a pause of our own, though the autopilot stays in its mode.
+        # After a pause of our own stream the link reports control as lost, though the autopilot stays in its mode.
         paused = now.mode in FLYING and state.mode == now.obeyed_in
         found.append((Event.CONTROL_LOST, Reason(Cause.STREAM_PAUSED) if paused else left))
     if state.refusal:

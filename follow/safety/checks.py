@@ -82,7 +82,7 @@ def hindrances(
     """What forbids FOLLOW now, the ones that do not pass by themselves first; empty: FOLLOW would be granted."""
     found: list[Hindrance] = []
     if not abs(state.t_s - state.heartbeat_t_s) <= limits.heartbeat_age_s:
-        # What was heard last, the mode above all, says nothing now.
+        # The last telemetry, above all the mode, is no longer valid.
         found.append(Hindrance(f"nothing heard from the vehicle for {limits.heartbeat_age_s:g} s"))
     found += [Hindrance(forbids)] if forbids else []
     if not state.armed:

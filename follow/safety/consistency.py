@@ -1,13 +1,13 @@
-"""Whether the image moves as the vehicle does: a frozen image, a wrong mount or lens, a box that rides on the vehicle.
+"""Whether the image moves with the vehicle: detects a frozen image, a wrong mount or lens, a box on the vehicle itself.
 
 Pure functions of `ImageMotion` messages (`follow.control.image_motion` measures them).  Over a window the measured
 motion m of the background is compared with the motion p = r + t that attitude and velocity predict:
 
-    gain = sum(m . p) / sum(p . p)        1: the camera sees what we believe; 0: frozen; -1: mounted the wrong way round
+    gain = sum(m . p) / sum(p . p)        1: as predicted; 0: frozen; -1: the camera is mounted the wrong way round
 
-Its standard deviation follows from the tracking noise and from how far the prediction may be off (unknown depth, a late
-attitude).  Nothing is judged before the prediction is large against both, so a vehicle that hangs still is never
-contradicted, and does not need to be: what does not move hurts nobody.
+Its standard deviation follows from the tracking noise and from the prediction's own error (unknown depth, a late
+attitude).  There is no verdict until the prediction is large against both.  So a hovering vehicle is never
+contradicted, which is safe because it does not move.
 """
 
 import math
@@ -20,19 +20,17 @@ from follow.messages import NEVER, ImageMotion
 
 SHORT_S = 0.6  # a frozen image must be noticed within a second: three intervals, and the wait for their telemetry
 LONG_S = 3.0  # a wrong lens or mount shows as a ratio, which needs more evidence
-NOISE_PX = 0.5  # of the mean over some forty corners, each found to a fifth of a pixel at 640 px; jitter of the stamp
-MODEL = (
-    0.35  # fraction of the predicted motion that may be wrong: depth of the ground, and 20 ms of delay while turning
-)
+NOISE_PX = 0.5  # of the mean over some forty corners, each found to a fifth of a pixel at 640 px, and time stamp jitter
+MODEL = 0.35  # fraction of the predicted motion that may be wrong: the ground's depth, and 20 ms of delay in a turn
 LEAST_PX = 2.0  # rms of the predicted motion over an interval below which nothing is judged
-SIGMAS = 3.0  # from the gain 1 of a sound camera, before a gain contradicts
+SIGMAS = 3.0  # a gain contradicts only beyond this many standard deviations from 1
 FROZEN_BELOW = 0.2  # gain of an image that does not follow the vehicle; 0.3 is still sound at 28 m instead of 8
 LENS_RANGE = (0.75, 1.35)  # gain of the rotation beyond which the lens is not that of the settings: 130 for 80 degrees
 # gives 0.67 (corners at the edge make up for some of the ratio of the focal lengths), 45 for 80 gives 1.7
 BOX_NOISE_PX = 1.5  # of a tracker's box between two intervals
 BOX_LEAST_PX = 12.0  # root of the summed squared motion that the box should have shown
 RIDES_BELOW = 0.35  # gain of a box that does not follow the world
-GONE_S = 0.6  # without a measurement for this long nothing is known
+GONE_S = 0.6  # a verdict expires this long after the last measurement
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,15 +54,15 @@ class Gain:
 
 
 def whole_gain(motions: Iterable[ImageMotion]) -> Gain | None:
-    """Gain of the whole predicted motion, rotation and translation; None when too little was to be seen."""
+    """Gain of the whole predicted motion, rotation and translation; None for too little motion."""
     return _gain([(m.mr_px2 + m.mt_px2, m.rr_px2 + 2 * m.rt_px2 + m.tt_px2) for m in motions])
 
 
 def turn_gain(motions: Iterable[ImageMotion]) -> Gain | None:
-    """Gain of the rotation alone, the translation's part being fitted beside it."""
+    """Gain of the rotation alone, with the translation fitted at the same time."""
     pairs = list(motions)
     rr, rt, tt = (sum(getattr(m, name) for m in pairs) for name in ("rr_px2", "rt_px2", "tt_px2"))
-    # The part of the rotation that translation cannot imitate: r less its projection on t.
+    # The part of the rotation that translation cannot explain: r less its projection on t.
     own = [(m.mr_px2 - m.mt_px2 * rt / max(tt, 1e-9), m.rr_px2 - m.rt_px2 * rt / max(tt, 1e-9)) for m in pairs]
     free = rr - rt * rt / max(tt, 1e-9)
     return None if free < 0.2 * rr else _gain(own)
@@ -80,11 +78,11 @@ def _gain(pairs: list[tuple[float, float]]) -> Gain | None:
 
 
 def box_gain(motions: Iterable[ImageMotion]) -> Gain | None:
-    """Gain of the box's own motion on the vehicle's wobble.
+    """Gain of the box's motion against the vehicle's fast rotation.
 
-    A followed target is held in its place in the image, so the slow part of its motion says nothing.  Differences of
-    successive intervals leave the vehicle's quick turning, which a box out in the world must show and one that rides
-    on the vehicle cannot.
+    The servo holds a followed target at its position in the image, so the slow part of its motion is no evidence.
+    Differences of successive intervals keep the vehicle's fast rotation, which a box on the ground must show and a box
+    on the vehicle itself cannot.
     """
     listed = list(motions)
     seen = expected = 0.0
@@ -102,14 +100,14 @@ def box_gain(motions: Iterable[ImageMotion]) -> Gain | None:
 
 @dataclass(slots=True)
 class Consistency:
-    """Judges over the last `LONG_S`; `update` gives what contradicts, in words, or an empty text."""
+    """Judges the last `LONG_S`; `update` returns the contradiction as text, or ""."""
 
     motions: deque[ImageMotion] = field(default_factory=lambda: deque[ImageMotion](maxlen=64))
     until_s: float = NEVER
     words: str = ""
 
     def update(self, motion: ImageMotion | None, t_s: float) -> str:
-        """Take in a measurement, if there is one; what contradicts at `t_s`."""
+        """Take in a measurement, if there is one; returns the contradiction that holds at `t_s`."""
         if motion is not None:
             self.motions.append(motion)
             self.words = self.judge(motion.t_s)
@@ -117,7 +115,7 @@ class Consistency:
         return self.words if t_s <= self.until_s else ""
 
     def judge(self, t_s: float) -> str:
-        """What the measurements up to `t_s` contradict; empty when they agree or are too few."""
+        """The contradiction in the measurements up to `t_s`; empty if they agree or are too few."""
         recent = [m for m in self.motions if t_s - m.from_t_s <= SHORT_S + 1e-6]
         longer = [m for m in self.motions if t_s - m.from_t_s <= LONG_S + 1e-6]
         turn = turn_gain(recent)

@@ -1,7 +1,7 @@
-"""The minimum distance to the target: what it takes from a velocity, and the retreat and climb that it asks for.
+"""The minimum distance to the target: how it limits a velocity, and the retreat or climb that it demands.
 
-Everything is written along the line of sight over the ground.  `Worst` is the target at its nearest: the range and the
-height that its uncertainty leaves possible.  Pure functions.
+All ranges and speeds are along the line of sight over the ground.  `Worst` is the target at the nearest range and
+height that its uncertainty allows.  Pure functions.
 """
 
 import math
@@ -18,38 +18,38 @@ REACT_S = 1.0
 """From a cause to full deceleration: detection (0.25 s), ramp (a/2J = 0.125 s) and the autopilot's response (0.6 s)."""
 
 HEAD_M = 2.0
-"""Height of a target's head that is not known better."""
+"""Height of a target's head unless the estimate puts it higher."""
 
 NEARING_M_S = 0.3
-"""A target that moves towards the vehicle faster than this comes nearer; less is noise of the estimate."""
+"""A target that moves towards the vehicle faster than this is approaching; less is noise of the estimate."""
 
 FULL_CLIMB_M = 0.5
 """The vehicle climbs at the full limit when it is this much or more below the height that it needs."""
 
 
 SPRINT_M_S, SPRINT_STANDOFF_M = 6.0, 3.0
-"""Somebody may start to run at the vehicle this fast at any time, and must not come nearer than this."""
+"""Speed of a person who suddenly sprints at the vehicle, and the distance that the vehicle must then keep."""
 
 JOG_M_S = 3.0
-"""Somebody who starts to run at the vehicle at this speed must not come nearer than `min_standoff_m`."""
+"""Speed of a person who suddenly jogs at the vehicle, which must then keep `min_standoff_m`."""
 
 NOTICE_S = 1.2
 """From a sudden run to the vehicle's climb: 0.5 s until the estimate shows it, the ramp, the autopilot's response."""
 
 STEADY_CLIMB_M_S = 1.0
-"""Fastest climb to the height that a run would need while nobody runs: slow, for the view's sake."""
+"""Maximum climb to the height that a sudden run would demand, while nobody runs: slow, to keep the target in view."""
 
 DRIFT_M_S = 0.5
-"""The most that is taken off for the autopilot's velocity error: PX4's was measured at 0.2 m/s RMS."""
+"""Maximum correction for the autopilot's velocity error: PX4's was measured at 0.2 m/s RMS."""
 
 
 @dataclass(frozen=True, slots=True)
 class Worst:
     """The target at its nearest: NED angle of the line of sight, range along the ground and height above its head, m.
 
-    `approach_m_s` is the target's own speed towards the vehicle.  `spare_m` is the height by the estimate itself above
-    that which `sprint_above_m` needs.  `drift_down_m_s` is how much faster the vehicle's reported position sinks than
-    its reported velocity says; `drift_closing_m_s`, never negative, how much faster it moves towards the target.
+    `approach_m_s` is the target's own speed towards the vehicle.  `spare_m` is the estimated height above the head
+    minus the one that `sprint_above_m` demands.  `drift_down_m_s` is how much faster the vehicle's reported position
+    sinks than its reported velocity says; `drift_closing_m_s`, never negative, the same towards the target.
     """
 
     sight_rad: float
@@ -63,7 +63,7 @@ class Worst:
 
 @dataclass(frozen=True, slots=True)
 class Sighting:
-    """The nearest place where the target may have been at `t_s`, local NED, and the NED angle at which it was seen.
+    """The nearest position that the target may have had at `t_s`, local NED, and the NED angle of the sighting.
 
     `head_down_m` is the highest level, local NED, at which its head may have been, no higher than the vehicle.  It was
     in unbroken view from `since_s` on; `base_down_m` is the vehicle's level when it had been in view for `STEADY_S`, or
@@ -80,18 +80,19 @@ class Sighting:
 
 
 UNKNOWN = Worst(0.0, 0.0, 0.0, 0.0)
-"""No target: without fresh data nothing is read from it."""
+"""Stands for the target while there are no fresh data; no limit is computed from it."""
 
 
 WALK_M_S = 1.4
-"""Somebody who is not seen, or of whom only a place is known, is taken to walk towards the vehicle."""
+"""Assumed speed towards the vehicle of an unseen target, and of another person."""
 
 STEADY_S = 3.0
-"""Something in view for this long is taken for the target where a climb over it begins: glimpses may be of another."""
+"""After this long in view the limit on climbing starts from the present height: a shorter glimpse may show another
+object."""
 
 
 def worst(estimate: Estimate, state: VehicleState, limits: Limits) -> Worst:
-    """The nearest that the estimate leaves possible, by `range_sigmas` standard deviations where no bound is given."""
+    """The nearest target that the estimate allows: by its own bound or, without one, by `range_sigmas`."""
     near = estimate.range_m - limits.range_sigmas * estimate.range_std_m
     if math.isfinite(estimate.range_near_m):
         near = min(estimate.range_near_m, estimate.range_m)
@@ -109,28 +110,29 @@ def worst(estimate: Estimate, state: VehicleState, limits: Limits) -> Worst:
 
 
 def gone(seen: Sighting | None, state: VehicleState) -> Worst:
-    """A target that may be anywhere along the ground, its head as high as when it was seen last.
+    """A target that may be anywhere, its head as high as when it was last seen.
 
-    Unseen for longer than `search_after_s` it is so: the vehicle hovers over whoever comes, and flees from no guess.
+    It stands for a target unseen for longer than `search_after_s`: the vehicle keeps its height above people, but does
+    not retreat from a guessed position.
     """
     above_m = max(seen.head_down_m - state.down_m, 0.0) if seen is not None else 0.0
     return Worst(0.0, math.inf, above_m, 0.0)
 
 
 def sighted(before: Sighting | None, target: Worst, t_s: float, state: VehicleState, limits: Limits) -> Sighting:
-    """The target as it was seen at `t_s`; `before` is the sighting before it, None for one that nothing leads on."""
+    """The sighting of the target at `t_s`; `before` is the previous one, None to start a new series."""
     north, east = heading_to_ned(target.range_m, 0.0, target.sight_rad)
-    is_on = before is not None and t_s - before.t_s <= limits.coast_after_s
-    since_s = before.since_s if before is not None and is_on else t_s
+    is_unbroken = before is not None and t_s - before.t_s <= limits.coast_after_s
+    since_s = before.since_s if before is not None and is_unbroken else t_s
     base_m = state.down_m
     if before is not None and t_s - since_s < STEADY_S:
         base_m = max(before.base_down_m, base_m)
-    place = state.north_m + north, state.east_m + east
-    return Sighting(*place, target.sight_rad, t_s, state.down_m + target.above_m, base_m, since_s)
+    position = state.north_m + north, state.east_m + east
+    return Sighting(*position, target.sight_rad, t_s, state.down_m + target.above_m, base_m, since_s)
 
 
 def moved(seen: Sighting, state: VehicleState) -> Sighting:
-    """A sighting after the autopilot moved its own origin: it moves along."""
+    """A sighting shifted with the autopilot's own origin."""
     return replace(
         seen,
         north_m=seen.north_m + state.reset_north_m,
@@ -141,7 +143,7 @@ def moved(seen: Sighting, state: VehicleState) -> Sighting:
 
 
 def worst_other(other: OtherSighting | None, state: VehicleState) -> Worst | None:
-    """Somebody who is not taken for the target, and may walk towards the vehicle; None for nobody."""
+    """Another person at the nearest, assumed to walk towards the vehicle; None if nobody was found."""
     if other is None or not all(map(math.isfinite, (other.azimuth_rad, other.range_m, other.below_m))):
         return None
     above_m = max(other.below_m - HEAD_M / 2, 0.0)
@@ -149,10 +151,10 @@ def worst_other(other: OtherSighting | None, state: VehicleState) -> Worst | Non
 
 
 def sprint_above_m(range_m: float, limits: Limits, since_s: float = 0.0) -> float:
-    """Height above the head from which the vehicle evades somebody who ran at it `since_s` ago from `range_m`.
+    """Height above the head that lets the vehicle evade a runner who started `since_s` ago from `range_m`.
 
-    He is below it after range / speed; by then it must have climbed to SPRINT_STANDOFF_M if he sprints, and to
-    `min_standoff_m` if he jogs.  The retreat, which only begins by then, is left out.
+    The runner is below the vehicle after range / speed; by then it must have climbed to SPRINT_STANDOFF_M against a
+    sprint and to `min_standoff_m` against a jog.  The retreat is neglected, because it only begins then.
     """
     sprint_m, jog_m = (climbed_m(range_m / speed - since_s - NOTICE_S, limits) for speed in (SPRINT_M_S, JOG_M_S))
     least_m = limits.min_standoff_m
@@ -167,7 +169,7 @@ def climbed_m(rising_s: float, limits: Limits) -> float:
 
 
 def distance_m(target: Worst) -> float:
-    """From the vehicle to the target's head, or to its side if the vehicle is lower."""
+    """Distance from the vehicle to the target's head, or to its side if the vehicle is lower."""
     return math.hypot(target.range_m, target.above_m)
 
 
@@ -185,9 +187,9 @@ def stopping_speed(distance_m: float, accel_m_s2: float) -> float:
 def closing_speed(target: Worst, limits: Limits) -> float:
     """Speed allowed towards the target; negative: the vehicle must retreat, up to the speed limit.
 
-    Relative to the target it is what half the deceleration stops before the stand-off.  Over the ground the vehicle
-    must be able to stop before the place where the target is, for there it may vanish behind a wall.  Both are speeds
-    of its position; the autopilot flies by the velocity that it reports, so the difference is taken off.
+    Relative to the target, half the deceleration must stop the vehicle before the stand-off.  Over the ground, the
+    vehicle must be able to stop before the target's position, because the target may vanish behind a wall there.  Both
+    are rates of the reported position; the autopilot flies by its reported velocity, so the drift is subtracted.
     """
     needed = math.sqrt(max(limits.min_standoff_m**2 - target.above_m**2, 0.0))
     allowed = math.inf
@@ -210,7 +212,7 @@ def limit_closing_speed(north: float, east: float, target: Worst, limits: Limits
 def limit_to_last_seen(
     north: float, east: float, seen: Sighting, state: VehicleState, limits: Limits
 ) -> tuple[float, float]:
-    """The NED velocity that stops `min_standoff_m` before the wall that may be where the target was last seen."""
+    """The NED velocity that stops `min_standoff_m` before the last sighting, because there may be a wall."""
     closing, across = ned_to_heading(north, east, seen.sight_rad)
     ahead, _ = ned_to_heading(seen.north_m - state.north_m, seen.east_m - state.east_m, seen.sight_rad)
     allowed = approach_speed(max(ahead - limits.min_standoff_m, 0.0), limits.accel_m_s2)
@@ -218,9 +220,9 @@ def limit_to_last_seen(
 
 
 def walking(target: Worst, seen: Sighting, state: VehicleState) -> Worst:
-    """A target that is not seen, as if it walked towards the vehicle from the nearest place where it was seen last.
+    """An unseen target, assumed to walk towards the vehicle from its last seen position.
 
-    One that may be anywhere stays so.
+    A target that may be anywhere is returned unchanged.
     """
     if not math.isfinite(target.range_m):
         return target
@@ -231,11 +233,12 @@ def walking(target: Worst, seen: Sighting, state: VehicleState) -> Worst:
 
 
 def limit_descent_unseen(down: float, seen: Sighting, state: VehicleState, limits: Limits) -> float:
-    """The downward speed over a target that is not seen: a climb where it may run under the vehicle.
+    """Limit the downward speed over an unseen target; climb if it may run under the vehicle.
 
-    It may have begun to run when it was seen last, and its head be as high as it may have been then.  The height is
-    that of `sprint_above_m`, `min_standoff_m` in the end.  Glimpses of something level with the vehicle must not lead
-    it up step by step: in all it climbs no more than that from where it had the target steadily in view.
+    The target may have started to run at the last sighting, with its head as high as it may have been then.  The height
+    needed is `sprint_above_m`, which grows to `min_standoff_m`.  Repeated glimpses of an object level with the vehicle
+    must not raise it step by step: it climbs at most `min_standoff_m` above the height at which it last had the target
+    steadily in view.
     """
     away_m = math.hypot(seen.north_m - state.north_m, seen.east_m - state.east_m)
     needed_m = sprint_above_m(away_m, limits, max(state.t_s - seen.t_s, 0.0))
@@ -260,9 +263,9 @@ def needed_above_m(target: Worst, state: VehicleState, limits: Limits) -> float:
 
 
 def limit_descent(down: float, target: Worst, state: VehicleState, limits: Limits) -> float:
-    """The downward speed that keeps the height needed above the target's head; a climb where it is too low.
+    """Limit the downward speed to keep the height needed above the target's head; climb if the vehicle is too low.
 
-    While the target comes nearer there is no descent: height is what a fast approach leaves no time to gain.
+    There is no descent while the target approaches: a fast approach leaves no time to climb again.
     """
     if target.approach_m_s > NEARING_M_S:
         down = min(down, 0.0)

@@ -66,8 +66,8 @@ def limit_to_fence(north: float, east: float, out: tuple[float, float], limits: 
 def limit_altitude(down: float, target: Worst, state: VehicleState, limits: Limits) -> float:
     """Limit the downward speed to stay inside the altitude band, and the climb above the target.
 
-    What the vehicle drifts towards a border is taken off, up to `DRIFT_M_S`.  A height below the floor and one above
-    the ceiling contradict each other, as when a rangefinder sticks: then it neither climbs nor descends.
+    Drift towards a border is subtracted, up to `DRIFT_M_S`.  If one height is below the floor and another above the
+    ceiling, as with a stuck rangefinder, the vehicle neither climbs nor descends.
     """
     drift = min(max(target.drift_down_m_s, -DRIFT_M_S), DRIFT_M_S)
     fastest_down = border_speed(least_height_m(state) - limits.floor_m, limits.climb_accel_m_s2) - max(drift, 0.0)
@@ -88,15 +88,15 @@ HELD = {
     "fence": "slower: limits.fence_m (near the border)",
     "altitude": "less climb or descent: limits.floor_m or limits.ceiling_m or limits.above_target_m",
 }
-"""What a note says of each limit that changes the desired velocity: its setting, and why it acts; without a comma."""
+"""The note for each limit that changes the desired velocity: its setting, and why it acts; without a comma."""
 
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:
     """What limits the vehicle besides its own speed: the target at its nearest, the fence, and the last sighting.
 
-    `fence_centre` is local NED north and east, m; `last_seen` is None while the target is seen.  `another` is somebody
-    who was found while the target is lost.
+    `fence_centre` is local NED north and east, m; `last_seen` is None while the target is seen.  `another` is another
+    person, found while the target is lost.
     """
 
     target: Worst
@@ -131,7 +131,7 @@ def limit_velocity(
     out = state.north_m - around.fence_centre[0], state.east_m - around.fence_centre[1]
     steps.append(("fence", limit_to_fence(*steps[-1][1], out, limits)))
     safe = down if around.last_seen is None else limit_descent_unseen(down, around.last_seen, state, limits)
-    banded = limit_altitude(safe, around.target, state, limits)
+    limited = limit_altitude(safe, around.target, state, limits)
     acted = [name for (_, before), (name, after) in pairwise(steps) if before != after]
-    acted += ["below"] if banded == safe < down else ["altitude"] * (banded != desired.down_m_s or safe < down)
-    return (*steps[-1][1], banded), tuple(HELD[name] for name in acted)
+    acted += ["below"] if limited == safe < down else ["altitude"] * (limited != desired.down_m_s or safe < down)
+    return (*steps[-1][1], limited), tuple(HELD[name] for name in acted)

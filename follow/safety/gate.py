@@ -47,10 +47,10 @@ from follow.safety.response import Response, disobeying, watched
 
 @dataclass(frozen=True, slots=True)
 class Gate:
-    """The gate's memory between rounds.  Velocities are NED; places are north and east, None until they are known.
+    """The gate's memory between rounds.  Velocities are NED; positions are north and east, None until they are known.
 
-    The fence is centred on home or, if that is unknown, where the first stream began.  `aimed_t_s` is when a person
-    chose the target last, `gap_s` the mean time between rounds.
+    The fence is centred on home or, if that is unknown, on the position where the first stream began.  `aimed_t_s` is
+    when a person last chose the target, `gap_s` the mean time between rounds.
     """
 
     authority: Authority = field(default_factory=Authority)
@@ -73,7 +73,7 @@ class Gate:
 
 
 FOLLOWING = (Mode.FOLLOW, Mode.COAST, Mode.SEARCH)
-"""The modes in which the vehicle goes after its target, or looks for it."""
+"""The modes in which the vehicle follows its target, or searches for it."""
 
 STEP_S = 0.1
 """Maximum time step of the ramps: a longer gap between rounds is several."""
@@ -82,10 +82,10 @@ GAP_S = 0.5
 """A longer gap between rounds counts as this: by then the link has paused the stream."""
 
 PACE_S = 2.0
-"""Time over which the gap between rounds is averaged: one long round is no slow program."""
+"""Time over which the gap between rounds is averaged: one long round does not make a slow program."""
 
 SLOW_S = 0.25
-"""A longer mean gap is noted: what happens between two rounds is neither seen nor braked for."""
+"""A longer mean gap adds a note: between two rounds the program neither sees nor brakes."""
 
 UNSEEN_S = 0.15
 """A target not seen for this long, two frames of a slow camera, may be behind a wall where it was last seen."""
@@ -94,7 +94,7 @@ STILL_M_S, STANDS_M_S = 0.05, 0.15
 """A vehicle in BRAKE counts as stopped when the speed last sent is below the first and, unless its data are stale, that
 of a vehicle which obeys below the second.
 
-An autopilot that is given a vehicle which still moves flies it back, or on, to a place of its own."""
+An autopilot that takes over a moving vehicle flies it on or back to a position of its own choice."""
 
 
 def speed(gate: Gate) -> float:
@@ -109,10 +109,10 @@ def scale_for_mode(mode: Mode, desired: Setpoint, unseen_s: float, limits: Limit
     desired = Setpoint(*(clamped(getattr(desired, name), PLAUSIBLE) for name in Setpoint.__slots__))
     if mode is Mode.FOLLOW:
         return desired
-    # For the first half of the timeout all of it: a walker goes on behind a post or a bush, so the view must follow.
+    # Unscaled for the first half of the timeout: a walker goes on behind a post or a bush, so the view must follow.
     fraction = clamped(max(2 - 2 * unseen_s / limits.search_after_s, 0.0), 1.0) if mode is Mode.COAST else 0.0
     turn = clamped(desired.yaw_rate_rad_s, limits.search_rad_s)
-    # Who is not seen may have come nearer: height is what a fast approach leaves no time to gain.
+    # No descent: an unseen target may have come nearer, and a fast approach leaves no time to climb again.
     down = min(desired.down_m_s, 0.0) * fraction
     return Setpoint(desired.forward_m_s * fraction, desired.right_m_s * fraction, down, turn)
 
@@ -218,14 +218,14 @@ def facts(
     if target is not UNKNOWN and distance_m(target) < limits.min_standoff_m:
         found = (*found, Hindrance(too_near(estimate, limits), passing=True))
     beyond, over = gate.reach.told, given_up(gate.reach, state, limits)
-    # A target that was just chosen is looked for as long as one that was lost.
+    # A target that was just chosen has the same timeouts as one that was lost.
     waited_s = unseen_s if math.isfinite(unseen_s) else state.t_s - gate.aimed_t_s
     lags = gate.authority.last is not None and math.hypot(*gate.response.expected) >= STANDS_M_S
     return Facts(state, old, waited_s, found, stopping, beyond, over, speed(gate) < STILL_M_S and not lags, instruction)
 
 
 def too_near(estimate: Estimate, limits: Limits) -> str:
-    """What forbids FOLLOW of a target that may be within the minimum stand-off: its place, or how little is known."""
+    """What forbids FOLLOW of a target that may be within the minimum stand-off: its distance, or its uncertainty."""
     least_m = limits.min_standoff_m
     if math.hypot(estimate.range_m, estimate.range_m * math.tan(estimate.depression_rad)) < least_m:
         return f"the target is nearer than {least_m:g} m: fly back"
@@ -235,15 +235,15 @@ def too_near(estimate: Estimate, limits: Limits) -> str:
 def remembered(
     gate: Gate, target: Worst, estimate: Estimate, state: VehicleState, dt_s: float, is_fresh: bool, limits: Limits
 ) -> Gate:
-    """The gate with the place of the last sighting, the fence's centre and the vehicle's response."""
-    if state.resets != gate.resets:  # the autopilot moved its own origin: what is remembered moves with it
+    """The gate with the last sighting, the fence's centre and the vehicle's response."""
+    if state.resets != gate.resets:  # the autopilot moved its own origin: move all stored positions with it
         seen = moved(gate.last_seen, state) if gate.last_seen is not None else None
         centre = gate.fence_centre
         if centre is not None:
             centre = centre[0] + state.reset_north_m, centre[1] + state.reset_east_m
         gate = replace(gate, resets=state.resets, last_seen=seen, fence_centre=centre)
     if is_fresh and (gate.last_seen is None or estimate.seen_t_s > gate.last_seen.t_s):
-        before = gate.last_seen if gate.mode in FOLLOWING else None  # a person flies: nothing was climbed for a glimpse
+        before = gate.last_seen if gate.mode in FOLLOWING else None  # else a person flies, and the climb starts again
         gate = replace(gate, last_seen=sighted(before, target, estimate.seen_t_s, state, limits))
     if is_fresh and state.home_t_s > NEVER:
         gate = replace(gate, fence_centre=(state.home_north_m, state.home_east_m))
@@ -265,7 +265,7 @@ def permitted(
     limits: Limits,
 ) -> tuple[tuple[float, float, float], float, tuple[str, ...]]:
     """The NED velocity and yaw rate that mode and limits permit on fresh data, and notes."""
-    if gate.mode is Mode.BRAKE:  # it ends when the vehicle stands: no border may move it meanwhile
+    if gate.mode is Mode.BRAKE:  # BRAKE ends when the vehicle stands still, so no border may move it
         return (0.0, 0.0, 0.0), 0.0, ()
     if gate.mode is Mode.ENGAGE:
         # The measured velocity jitters: it is approached within the ramps' acceleration, never copied.

@@ -1,6 +1,6 @@
 """How high the vehicle flies, for the floor and the ceiling: above home, and by a rangefinder.  Pure functions.
 
-The estimator's z = 0 may lie metres beside the ground of the start: z alone counts only while nothing is known of home.
+The estimator's z = 0 may be metres above or below the start's ground, so z alone counts only while home is unknown.
 """
 
 from follow.messages import NEVER, VehicleState
@@ -13,7 +13,7 @@ FAR_M = 1e6
 
 
 def heights_above_home(state: VehicleState) -> list[float]:
-    """Each known height above home: by home's place and by the autopilot's own report, m."""
+    """Each known height above home: by home's position and by the autopilot's own report, m."""
     known: list[float] = []
     if state.home_t_s > NEVER and abs(state.home_down_m) <= FAR_M:
         known.append(state.home_down_m - state.down_m)
@@ -23,7 +23,7 @@ def heights_above_home(state: VehicleState) -> list[float]:
 
 
 def least_height_m(state: VehicleState) -> float:
-    """The lowest of the heights that are known, also by a rangefinder, for the floor."""
+    """The lowest known height, including the rangefinder's, for the floor."""
     known = heights_above_home(state)
     if abs(state.t_s - state.above_ground_t_s) <= FRESH_S and abs(state.above_ground_m) <= FAR_M:
         known.append(state.above_ground_m)

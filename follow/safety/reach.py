@@ -1,4 +1,4 @@
-"""Can the vehicle come to where the servo wants it?  A limit that keeps it from a target for seconds is told.
+"""Does a limit keep the vehicle from its target?  If one does for some seconds, the pilot is told.
 
 A target that outruns the vehicle, or stands beyond the fence, is followed at a distance with a reason for the pilot,
 and given up after `out_of_reach_s`.  Pure functions.
@@ -12,23 +12,23 @@ from follow.safety.distance import Worst
 from follow.safety.limits import Limits
 
 CUT_M_S = 0.5
-"""The limits take at least this much of the desired speed towards the target: less is their ordinary shaping."""
+"""A limit counts if it reduces the desired speed towards the target by more than this: less is ordinary shaping."""
 
 LAG_M_S = 1.0
-"""The vehicle flies what it may if it is no slower than this below it: before, it gains speed and says nothing."""
+"""A vehicle slower than the permitted speed by more than this is still accelerating: the limit does not hold it yet."""
 
 FALLEN_M = 0.3
-"""The range must fall by more than this in `reach_after_s`, or the vehicle does not come nearer."""
+"""The vehicle comes nearer if the range falls by more than this in `reach_after_s`."""
 
 TOLD = "its limits keep the vehicle from it"
 
 
 @dataclass(frozen=True, slots=True)
 class TargetReach:
-    """Since when a limit keeps the vehicle from its target (None: none does), and whether that is told.
+    """Since when a limit keeps the vehicle from its target (None: no limit does), and the text for the pilot.
 
-    The range is compared with `mark_m`, which it was at `mark_s`.  What is told holds until the range falls, or until
-    no limit acts for as long; `free_s` is since when none does.
+    The range is compared with `mark_m`, its value at `mark_s`.  The text stays until the range falls, or until no limit
+    has acted for `reach_after_s`; `free_s` is since when no limit acts.
     """
 
     since_s: float | None = None
@@ -47,10 +47,10 @@ def watched_reach(
     limits: Limits,
 ) -> TargetReach:
     """The reach after a round in FOLLOW; `permitted` is the NED velocity that the limits left of the desired one."""
-    wanted = ned_to_heading(desired.forward_m_s, desired.right_m_s, target.sight_rad - state.yaw_rad)[0]
-    left = ned_to_heading(*permitted, target.sight_rad)[0]
+    closing = ned_to_heading(desired.forward_m_s, desired.right_m_s, target.sight_rad - state.yaw_rad)[0]
+    allowed = ned_to_heading(*permitted, target.sight_rad)[0]
     flown = ned_to_heading(state.north_m_s, state.east_m_s, target.sight_rad)[0]
-    if not (desired.is_finite() and wanted - max(left, 0.0) > CUT_M_S and flown > left - LAG_M_S):
+    if not (desired.is_finite() and closing - max(allowed, 0.0) > CUT_M_S and flown > allowed - LAG_M_S):
         free_s = state.t_s if now.free_s is None else now.free_s
         is_free = state.t_s - free_s >= limits.reach_after_s or target.range_m < now.mark_m - FALLEN_M
         return replace(now, free_s=free_s) if now.told and not is_free else TargetReach()

@@ -10,15 +10,15 @@ LAG_S = 0.8
 """Time to 63 % of a velocity step: the slower of the two autopilots that were measured (docs/vehicle.md)."""
 
 LEVEL_M_S, CLIMB_M_S = 1.5, 1.0
-"""Difference that gusts and a drifting PX4 may cause; more than three times what they were seen to cause in Hold."""
+"""Tolerance for gusts and PX4's drift: more than three times the difference that was measured in Hold."""
 
 FRACTION = 0.4
-"""Further difference as a fraction of the expected speed: saturation, and a target that accelerates all the time."""
+"""Further tolerance as a fraction of the expected speed: for saturation, and a target that accelerates all the time."""
 
 WALK_M_S, STANDS = 1.0, 0.3
-"""A vehicle that should fly at a walk or faster and has less than this fraction of the speed does not obey.
+"""A vehicle that should fly at this speed or faster and has less than this fraction of it does not obey.
 
-By the differences above one that stands would obey up to 2.5 m/s: nothing of what is sent reaches it."""
+By the tolerances alone, a vehicle that stands because no setpoint reaches it would pass up to 2.5 m/s."""
 
 
 @dataclass(frozen=True, slots=True)
