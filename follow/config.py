@@ -1,6 +1,6 @@
-"""One frozen tree of settings; each part owns its own branch and says why its numbers are what they are.
+"""One frozen tree of settings; each module defines its own branch, with the reason for each number.
 
-A derived setting is None until someone gives it; `resolve` fills in the rest once the camera is known.
+A derived setting is None until it is set; `resolve` fills in the rest once the camera is known.
 """
 
 import math
@@ -20,22 +20,22 @@ from follow.recording.recorder import RecordConfig
 from follow.safety.limits import Limits
 
 Layer = Mapping[str, Mapping[str, float]]
-"""Settings by branch and name, as a scenario or a kind of target gives them."""
+"""Settings by branch and name, from a scenario or a kind of target."""
 
 MOST_OF_TARGET = {
     "size_m": 10.0,  # A lorry from the side is 16 m long and 4 m high: sqrt(16 x 4) is 8.
     "middle_fraction": 1.0,  # The box's upper edge.
     "speed_std_m_s": 50.0,  # 180 km/h.
 }
-"""Largest plausible values: larger ones are in another unit, as a height in cm."""
+"""Largest plausible values: larger ones are in another unit, such as a height in cm."""
 
 MOUNT_DEG = 30.0
-"""The mounting angle of a camera that nobody described: 10 m up, the image's middle is 17 m ahead."""
+"""Default mounting angle of a camera: from a height of 10 m the image's middle is 17 m ahead."""
 
 
 @dataclass(frozen=True, slots=True)
 class CameraConfig:
-    """The camera's lens, mount and delay.  Raises ValueError for what no camera has."""
+    """The camera's lens, mount and delay.  Raises ValueError for implausible values."""
 
     fov_deg: float = 70.0
     """Horizontal field of view of the undistorted image; most action and FPV cameras have 60 to 90."""
@@ -123,7 +123,7 @@ PRESETS: Mapping[TargetKind, Layer] = MappingProxyType(
 
 
 def resolve(config: Config, lens: Intrinsics, down_rad: float, delay_s: float) -> Config:
-    """The settings with each derived one filled in that nobody gave; the result has no None.
+    """The settings with each derived one filled in unless it is set; the result has no None.
 
     `lens`, `down_rad` (below the nose) and `delay_s` (from exposure to arrival) are those of the camera flown with.
     """

@@ -1,6 +1,6 @@
-"""Files that a control loop writes without waiting for the disk: a thread of each file's own does the waiting.
+"""Files that a control loop writes without waiting for the disk: each file has a thread that waits instead.
 
-A disk that is full, slow or stalled costs what is written, never a round of the loop.
+A full, slow or stalled disk loses data, but never delays the loop.
 """
 
 import errno
@@ -13,13 +13,13 @@ from typing import Protocol
 
 from follow.messages import Notify
 
-WAITING_BYTES = 8_000_000  # that may wait for one file: ten minutes of rows or packets
-CLOSE_S = 30.0  # maximum wait at the end for a disk that does not answer
-FULL_BYTES = 2_000_000  # a disk with less room is full: the recording's images go to it in blocks of up to 1 MB
+WAITING_BYTES = 8_000_000  # largest queue of one file: ten minutes of rows or packets
+CLOSE_S = 30.0  # timeout at the end for a disk that does not answer
+FULL_BYTES = 2_000_000  # a disk with less room counts as full: the recording writes images in blocks of up to 1 MB
 
 
 class ByteFile(Protocol):
-    """What is needed of an open file."""
+    """The methods that an open file must have."""
 
     def write(self, data: bytes, /) -> object:
         """Write the bytes."""
@@ -35,7 +35,7 @@ class ByteFile(Protocol):
 
 
 def unwritten(file: Path | str, error: Exception) -> str:
-    """One sentence for a file that is no longer written; the same one for every file of a folder whose disk is full."""
+    """The report about a file that is no longer written; the same one for all files of a folder whose disk is full."""
     if isinstance(file, Path) and (getattr(error, "errno", 0) == errno.ENOSPC or is_full(file.parent)):
         return (
             f"the disk of {file.parent} is full: its files are no longer written, what is in them stays, and the "
@@ -45,7 +45,7 @@ def unwritten(file: Path | str, error: Exception) -> str:
 
 
 def is_full(folder: Path) -> bool:
-    """Whether the folder's disk has no room for a block of images; a disk that is gone is not full."""
+    """Whether the folder's disk has no room for a block of images; False for a disk that was removed."""
     try:
         disk = os.statvfs(folder)
     except OSError:
@@ -54,7 +54,7 @@ def is_full(folder: Path) -> bool:
 
 
 class OnceEach:
-    """Passes on each line once, whoever reports it: a full disk breaks every file at about the same time."""
+    """Passes each line on once, because a full disk breaks every file at about the same time."""
 
     def __init__(self, report: Notify) -> None:
         self._report = report
@@ -78,8 +78,8 @@ def opened(path: Path) -> ByteFile:
 class BackgroundFile:
     """Appends to a file in the order of the calls, in a thread; `write` returns at once.
 
-    `lost` counts the writes that were dropped: because `waiting_bytes` were waiting already, or after an error of the
-    disk, which is reported once.  Raises OSError if the file cannot be opened.
+    `lost` counts the dropped writes: those beyond `waiting_bytes` in the queue, and those after an error of the disk,
+    which is reported once.  Raises OSError if the file cannot be opened.
     """
 
     def __init__(
@@ -111,7 +111,7 @@ class BackgroundFile:
             self._change.notify()
 
     def close(self, timeout_s: float = CLOSE_S) -> None:
-        """Wait until everything is written, at most `timeout_s`; what is left then counts as lost, and is reported."""
+        """Wait until everything is written, at most `timeout_s`; the rest then counts as lost, and is reported."""
         with self._change:
             self._closing = True
             self._change.notify()
@@ -152,7 +152,7 @@ class BackgroundFile:
 
 
 class BackgroundTask:
-    """Runs a task in a thread, one run at a time; `start` returns at once, False if the last run is not over."""
+    """Runs a task in a thread, one run at a time; `start` returns at once, False if the last run is still going."""
 
     def __init__(self, task: Callable[[], None], name: str) -> None:
         self._task, self._name = task, name

@@ -29,10 +29,10 @@ from racf.track import Track
 
 
 class ObjectDetector(Protocol):
-    """Finds objects in frames, late and not in each; those of `follow.control.detecting` do."""
+    """Finds objects in some frames, with a delay; those of `follow.control.detecting` do."""
 
     def update(self, frame: Frame | None, t_s: float) -> Detections | None:
-        """Take in a round at `t_s` and its frame; what was found last, None if that is too old."""
+        """Take in a round at `t_s` and its frame; returns the last detections, None if they are too old."""
         ...
 
 
@@ -48,9 +48,9 @@ class TargetEstimator(Protocol):
     """Estimates the target's position from boxes and the vehicle's motion; `follow.control.target.Target` is one."""
 
     def predict(self, state: VehicleState, t_s: float, found: Detections | None = None) -> Box | None:
-        """The box where the target should appear in the image taken at `t_s`; None: at its last box.
+        """The box where the target should appear in the image taken at `t_s`; None: search around its last box.
 
-        `found` are objects that a lost target may be among.
+        `found` are the detector's objects, among which a lost target may be.
         """
         ...
 
@@ -65,7 +65,7 @@ class Controller(Protocol):
     """Computes the desired setpoint; `follow.control.servo.Servo` is one."""
 
     def update(self, estimate: Estimate, state: VehicleState, wanted: Wanted = AS_SET) -> Setpoint:
-        """The velocity that brings the estimated target to its wanted direction and distance."""
+        """The velocity that brings the estimated target to its desired direction and distance."""
         ...
 
 

@@ -34,7 +34,8 @@ class Autopilot(str, Enum):
 class Frame:
     """One image and its time: uint8, (rows, columns, 3) in BGR or (rows, columns) in grey, taken at `t_s`.
 
-    A pixel of it is `scale` pixels of the source, whose image was shrunk; boxes inside the loop are in its own pixels.
+    One pixel of the image is `scale` pixels of the source, which was shrunk; boxes inside the loop are in pixels of
+    this image.
     """
 
     image: NDArray[np.uint8]
@@ -44,7 +45,7 @@ class Frame:
 
 
 class Landed(str, Enum):
-    """What the autopilot says about standing on the ground (EXTENDED_SYS_STATE).  Only IN_AIR means flying."""
+    """The autopilot's landed state (EXTENDED_SYS_STATE).  Only IN_AIR means flying."""
 
     UNKNOWN = "unknown"
     ON_GROUND = "on the ground"
@@ -71,11 +72,11 @@ class VehicleState:
 
     Attitude: roll, pitch, yaw (radians, aerospace order) and the yaw rate.  Position and velocity are local NED.
     `resets` counts the jumps of the autopilot's own position estimate; `reset_*` is the last jump, new minus old, zero
-    if only the autopilot's counter shows it.  Home is the place of arming, local NED.  Heights are positive upward:
+    if only the autopilot's counter shows it.  Home is the position of arming, local NED.  Heights are positive upward:
     above home; above the ground below, by a rangefinder (vertical); above the ground, by a terrain map.
     `mode` is the autopilot's own name for its flight mode as of `heartbeat_t_s`; `in_control` says that the autopilot
     obeys our setpoints; `refusal` is its reason for refusing our last mode request, empty if it did not.
-    `rc_healthy` is the autopilot's own word about its remote control (None: unknown), `rc_t_s` the time of the last
+    `rc_healthy` is the autopilot's own report on its remote control (None: unknown), `rc_t_s` the time of the last
     channels.  `said` is the autopilot's last STATUSTEXT.  `contested_t_s` is the last time that a second sender used
     the vehicle's id.
     """
@@ -184,9 +185,9 @@ class Estimate:
     standard deviation.  Each is inf where it is not known.
 
     `seen_t_s` is the time of the last frame in which the target was found; `seen_range_m` and `seen_azimuth_rad` lead
-    from the vehicle's present position and heading to where the target stood then.  `contradiction` says in words
-    which measurements disagree beyond their uncertainty; it is empty while they agree.  `doubt` says in words who was
-    found after a loss and is not taken for the target; it is empty if there is nobody.  `other` is where somebody was
+    from the vehicle's present position and heading to the target's position then.  `contradiction` is a text about
+    measurements that disagree beyond their uncertainty; it is empty while they agree.  `doubt` is a text about a
+    candidate that was found after a loss and rejected; it is empty if there is none.  `other` is where a candidate was
     found within the last second while the target is lost.
 
     `drift_*` is how much faster the vehicle's reported position moves than its reported velocity says, local NED.  The
@@ -220,14 +221,14 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class ImageMotion:
-    """How corners of the background moved between two frames, against the prediction by the vehicle's motion.
+    """How corners of the background moved between two frames, and the motion predicted from the vehicle's poses.
 
     With m the measured motion of a corner, r the one predicted from rotation alone and t what translation over flat
     ground adds, all in pixels, the fields are weighted means over the corners of their dot products, px²; `mm_px2` is
-    the median of m·m.  `box_seen_px` is the motion of the target's box, `box_expected_px` what rotation alone would
-    make of it, (right, down).  `height_m` is the camera's height above the ground around the target's feet, from the
-    parallax of corners there, with its standard deviation; both are inf when the vehicle flew too little to tell.
-    `height_shared_std_m` is the part of that deviation that lasts: that of the vehicle's velocity.
+    the median of m·m.  `box_seen_px` is the motion of the target's box, `box_expected_px` that by rotation alone,
+    (right, down).  `height_m` is the camera's height above the ground around the target's feet, from the parallax of
+    corners there, with its standard deviation; both are inf when the vehicle moved too little to measure it.
+    `height_shared_std_m` is the part of that deviation that successive measurements share: the vehicle's velocity.
     """
 
     from_t_s: float
@@ -313,9 +314,9 @@ STARTED = Reason(Cause.STARTED)
 
 @dataclass(frozen=True, slots=True)
 class Instruction:
-    """What the operator's side says in one round: an order with its reason, what forbids FOLLOW now, how to fly.
+    """The operator's input in one round: an order with its reason, what forbids FOLLOW now, how to fly.
 
-    `aimed` says that the tracker starts again with this order, and that the estimate has forgotten its target.
+    `aimed` says that a new target was chosen: the tracker starts again and the estimate has forgotten the old one.
     """
 
     order: Order | None = None
@@ -367,8 +368,8 @@ class Decision:
 class Tick:
     """One round of the loop.  `frame` and `track` are None in a round without a new frame.
 
-    `instruction` and `motion` (of the image, None: no new measurement) are what went into the gate beside them.
-    `found` is what a detector found last, None if there is none or that is too old.
+    `instruction` and `motion` (of the image, None: no new measurement) are further inputs of the gate.  `found` are the
+    last detections, None without a detector or if they are too old.
 
     `stage_ms` maps each stage's name to its wall-clock duration in ms.  It is only recorded; the loop never reads it.
     """

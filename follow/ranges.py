@@ -1,4 +1,4 @@
-"""The rules that most settings obey: a finite number, above zero unless it may be zero, and plausible."""
+"""The rules for most settings: a finite number, above zero unless it may be zero, and plausible."""
 
 import math
 from collections.abc import Collection, Mapping
@@ -28,7 +28,7 @@ def require_numbers(
 
 
 def require_at_most(kind: str, settings: "DataclassInstance", most: Mapping[str, float]) -> None:
-    """Raise ValueError naming the first number whose size is beyond `most`: usually one in another unit."""
+    """Raise ValueError naming the first number larger than `most` in either direction: usually one in another unit."""
     for name, largest in most.items():
         value = getattr(settings, name)
         if value is not None and abs(value) > largest:

@@ -1,7 +1,7 @@
-"""What passes between the consoles and the loop: the target that a person chose, how it is to be followed, what shows.
+"""Messages between consoles and loop: the target that a person chose, how to follow it, and the status to show.
 
-Boxes are in shares of the image, 0 to 1 from its top-left corner, because a console shows it at another size.  Those
-of a detector are in pixels, as the tracker's.
+Boxes are fractions of the image, 0 to 1 from its top-left corner, because a console shows it at another size.  Those of
+a detector are in pixels, like the tracker's.
 """
 
 import math
@@ -28,7 +28,7 @@ class Selection:
 
     @property
     def is_point(self) -> bool:
-        """Whether it is a click without a box."""
+        """Whether this is a click without a box."""
         return self.width == 0.0 and self.height == 0.0
 
 
@@ -43,7 +43,7 @@ Choice = Selection | Cleared
 """What a person does in the image."""
 
 Choose = Callable[[Choice], str]
-"""Takes a choice; returns why it is refused, empty if it is not."""
+"""Takes a choice; returns why it is refused, or ""."""
 
 
 class TrackingState(str, Enum):
@@ -75,12 +75,12 @@ class Detection:
 
 
 DETECTIONS_S = 1.0
-"""Detections older than this are no longer shown or offered: a walker has left his box by then."""
+"""Detections older than this are no longer shown or used: a walker has left the box by then."""
 
 
 @dataclass(frozen=True, slots=True)
 class Detections:
-    """What a detector found in the frame of that time and number: every object once, the likeliest first."""
+    """The detector's objects in the frame of that time and index: each once, the likeliest first."""
 
     t_s: float
     index: int
@@ -93,9 +93,9 @@ HOVER_HERE = "hover"
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """How a person wants the vehicle to fly now, where it differs from the settings.
+    """A person's changes to the settings of the servo, for now.
 
-    `mode` is a servo mode's name or HOVER_HERE, empty for the one that is set.  `standoff_factor` multiplies the
+    `mode` is a servo mode's name or HOVER_HERE, empty for the configured one.  `standoff_factor` multiplies the
     stand-off, `raise_rad` raises the vehicle so that the target appears that much lower than the image's middle row,
     `around_m_s` moves it across the line of sight, to the right.
     """

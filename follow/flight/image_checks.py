@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from follow.flight.finding import Finding, Health
 from follow.messages import Frame
 
-COARSE = 4  # every fourth row and column tells as much
+COARSE = 4  # every fourth row and column is enough
 DARK, BRIGHT = 24, 250  # grey levels of 255: above the noise of a covered sensor; where a sensor clips
-NEARLY_ALL = 99.0  # percent of the pixels that a black image has below DARK
+NEARLY_ALL = 99.0  # an image is black if this percentage of its pixels is below DARK
 CLIPPED = 0.5  # fraction of clipped pixels above which little is left to track
 LEAST_CONTRAST = 2.0  # grey levels, standard deviation: fog and a plain wall in focus have more
 FIX = {

@@ -37,7 +37,7 @@ from follow.messages import (
 from follow.operator.authority import KEYS_HELP, Keys, Operator, signals
 
 ROUND_S = 0.05  # 20 setpoints a second while ramping down: the usual rate for either autopilot
-LEAVE_S = 10.0  # longer than the ramp from any speed (12 m/s at 2.5 m/s2 and the gate's grace period: 6.5 s)
+LEAVE_S = 10.0  # longer than the ramp from any speed (20 m/s at 2.5 m/s2 and the gate's grace period: 9.3 s)
 
 
 class FlyingLink(Link, Protocol):
@@ -55,13 +55,13 @@ class FlyingLink(Link, Protocol):
 def taking_and_giving(ticks: Iterable[Tick], link: FlyingLink) -> Iterator[Tick]:
     """Pass the ticks on; request our mode as the gate begins to engage, the pilot's when a stick ends the stream.
 
-    A stick that moves after the end asks for the pilot's mode also.
+    A stick that moves after the stream has ended requests the pilot's mode again.
     """
     before, was_released = Mode.OBSERVE, False
     for tick in ticks:
         mode = tick.decision.mode
         released = tick.decision.setpoint is None and tick.decision.release is Release.STICKS
-        again = tick.instruction.reason.cause in PILOTS_STICK  # the first request may have been lost on its way
+        again = tick.instruction.reason.cause in PILOTS_STICK  # the first request may have been lost
         if mode is Mode.ENGAGE is not before:
             link.take_control()
         elif released and (again or not was_released):

@@ -1,7 +1,7 @@
 """The autopilot's parameters that decide what happens when this program, the link or the remote control fails.
 
-Each question has one parameter or several: the names that firmware versions gave it, of which the one that answers is
-judged.  Defaults and values are those of PX4 1.14 to 1.18 and ArduCopter 4.5 to 4.7.
+Each question has one parameter, or several names of it in different firmware versions; the name that the autopilot has
+is judged.  Defaults and values are those of PX4 1.14 to 1.18 and ArduCopter 4.5 to 4.7.
 """
 
 from collections.abc import Callable, Mapping
@@ -12,7 +12,7 @@ from follow.messages import Autopilot
 Firmware = tuple[int, int]
 """Major and minor version."""
 
-FENCE_M = 1000.0  # no small drone is in sight beyond it; our own fence is 300 m (follow/safety/limits.py)
+FENCE_M = 1000.0  # a small drone is out of sight beyond it; our own fence is 300 m (follow/safety/limits.py)
 FENCE_HEIGHT_M = 150.0  # 120 m is the open category's limit in Europe, with room for braking
 
 WHERE: dict[Autopilot, str] = {
@@ -26,7 +26,7 @@ WHERE: dict[Autopilot, str] = {
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """What is wanted of a value: a test, and the same in words."""
+    """The condition on a value: a test, and the same in words."""
 
     allows: Callable[[float], bool]
     text: str
@@ -34,7 +34,7 @@ class Rule:
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One parameter: its meaning, what is wanted (None: it is only reported), and the value that fixes it.
+    """One parameter: its meaning, its rule (None: it is only reported), and the value that fixes it.
 
     `scale` times the value is its SI value, which the rule judges and `unit` names; `better` is in the parameter's own
     unit.  It exists from firmware `since` on and before `before`.
@@ -92,9 +92,9 @@ Question = tuple[Parameter, ...]
 """The names that one parameter has had."""
 
 PX4_QUESTIONS: tuple[Question, ...] = (
-    # It flew on at full speed for 1.1 to 1.4 s at the default of 1.0 s.
+    # At the default of 1.0 s the vehicle flew on at full speed for 1.1 to 1.4 s.
     (Parameter("COM_OF_LOSS_T", "flies on this long without setpoints", between(0.5, 1.0), "0.5", "s"),),
-    # At 0 without a remote control it drifted and sank at 0.6 m/s; at 5 it held.
+    # At 0, without a remote control, the vehicle drifted and sank at 0.6 m/s; at 5 it held its position.
     (Parameter("COM_OBL_RC_ACT", "reaction when setpoints end", one_of({5: "Hold", 3: "Return", 4: "Land"}), "5"),),
     # At 1 the sticks do not break OFFBOARD.
     (
@@ -154,7 +154,7 @@ PX4_QUESTIONS: tuple[Question, ...] = (
 )
 
 ARDUPILOT_QUESTIONS: tuple[Question, ...] = (
-    # At the default of 3.0 s it flew and turned on for 3 s and 6.5 m further at 2 m/s.
+    # At the default of 3.0 s the vehicle flew and turned on for 3 s: 6.5 m at 2 m/s.
     (Parameter("GUID_TIMEOUT", "flies on this long without setpoints", between(0.5, 1.0), "1.0", "s"),),
     (
         Parameter(

@@ -1,6 +1,6 @@
-"""systemd's side of a flight: ready, alive, stopping (sd_notify(3)).
+"""A flight's notifications to systemd: ready, alive, stopping (sd_notify(3)).
 
-The watchdog is fed from the control loop and from nowhere else: a loop that hangs is restarted, into OBSERVE.
+Only the control loop feeds the watchdog, so systemd restarts a program that hangs; it starts in OBSERVE.
 """
 
 import contextlib
@@ -13,7 +13,7 @@ ALIVE_EVERY_S = 0.5  # a quarter of the shortest WatchdogSec that makes sense fo
 
 
 class Service:
-    """Speaks to the service manager that started us, if one did.  `address` is the value of NOTIFY_SOCKET."""
+    """Notifies the service manager that started us, if one did.  `address` is the value of NOTIFY_SOCKET."""
 
     def __init__(self, address: str | None = None) -> None:
         address = os.environ.get("NOTIFY_SOCKET", "") if address is None else address
@@ -39,7 +39,7 @@ class Service:
         self._say("STOPPING=1")
 
     def close(self) -> None:
-        """Give the socket back."""
+        """Close the socket."""
         if self._socket is not None:
             self._socket.close()
             self._socket = None

@@ -61,12 +61,12 @@ def keep_flight(out: Path, terminal: Terminal) -> None:
 def keep_other_flight(out: Path, flown: Figures, terminal: Terminal) -> None:
     """Move the recording in `out` aside, unless it is of the simulation that `flown` names: that can be flown again.
 
-    Not so a simulation in real time, which has a date: a person may have commanded it.
+    A simulation in real time, which has a date, is always moved aside: a person may have commanded it.
     """
     try:
         before = cast(Mapping[str, object], json.loads((out / "summary.json").read_text(encoding="utf-8")))
         same = all(before.get(name) == value for name, value in flown.items()) and "started_utc" not in before
-    except (OSError, ValueError, AttributeError):  # none, or not written to its end
+    except (OSError, ValueError, AttributeError):  # missing or incomplete
         same = False
     if not same or (out / "flight.tlog").exists():
         keep_flight(out, terminal)

@@ -28,7 +28,10 @@ CHECKS = (
 """Names of the checks before a flight, beside those of the autopilot's parameters."""
 
 BATTERY_PERCENT = 30
-OLDEST: dict[Autopilot, Firmware] = {Autopilot.PX4: (1, 14), Autopilot.ARDUPILOT: (4, 5)}  # what the tables know
+OLDEST: dict[Autopilot, Firmware] = {
+    Autopilot.PX4: (1, 14),
+    Autopilot.ARDUPILOT: (4, 5),
+}  # in the tables of parameters.py
 
 
 def check_vehicle(
@@ -39,7 +42,7 @@ def check_vehicle(
 ) -> list[Finding]:
     """The link, the autopilot and its parameters.
 
-    `listen(seconds)` keeps the conversation going meanwhile; `report` is told before each wait.
+    `listen(seconds)` runs the link meanwhile; `report` gets a line before each wait.
     """
     report(f"listening for a vehicle, {LISTEN_S:g} s")
     listen(LISTEN_S)  # to meet the vehicle and to request stream rates
@@ -57,7 +60,7 @@ def check_vehicle(
 def check_parameters(
     client: MavlinkClient, autopilot: Autopilot, listen: Callable[[float], None], report: Notify
 ) -> list[Finding]:
-    """Read and judge what decides the vehicle's fate when this program dies."""
+    """Read and judge the parameters that decide what the vehicle does when this program fails."""
     known = client.heard.parameters
     known.clear()
     for _ in range(ASK_TIMES):
@@ -130,7 +133,7 @@ def check_simulator(client: MavlinkClient, reach: Reach, *, said: bool) -> Findi
 
 
 def firmware_of(client: MavlinkClient) -> Firmware | None:
-    """The autopilot's major and minor version, if it told."""
+    """The autopilot's major and minor version, if it reported one."""
     version = client.heard.version
     if version is None or not version.flight_sw_version:
         return None
@@ -138,7 +141,7 @@ def firmware_of(client: MavlinkClient) -> Firmware | None:
 
 
 def _nobody(client: MavlinkClient) -> Finding:
-    """Nothing to fly: what was heard instead."""
+    """No vehicle was found: what was received instead."""
     if client.packets.refused:
         text = f"{client.packets.refused} packets without our signature"
         return Finding("link", Health.RED, text, "give both sides the same key")
@@ -255,7 +258,7 @@ def _battery(client: MavlinkClient, now_s: float) -> Finding:
 
 
 def _remote(client: MavlinkClient, now_s: float) -> Finding:
-    """A pilot must be able to take over: the autopilot calls its remote control healthy, or its channels come."""
+    """A pilot must be able to take over: the autopilot reports a healthy remote control, or its channels arrive."""
     state = client.state(now_s)
     recent = now_s - state.rc_t_s <= RECENT_S
     if state.rc_healthy is False or (state.rc_healthy is None and not recent):

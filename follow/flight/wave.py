@@ -27,17 +27,17 @@ from follow.messages import NEVER, Frame, VehicleState
 
 SPAN_S = 0.09  # of an interval: three frames at 30 per second; long enough to turn by some degrees
 FEWEST = 10  # corners of an interval
-BACK_PX = 0.5  # a corner tracked forward and back again comes back this near, in the shrunk image
+BACK_PX = 0.5  # largest error of a corner tracked forward and back again, in the shrunk image
 LONGEST_DELAY_S = 0.6
 DELAYS_S = np.arange(-0.1, LONGEST_DELAY_S + 0.01, 0.02)  # searched; below zero: frames stamped before they were taken
 FOVS_DEG = (25.0, 35.0, 45.0, 55.0, 67.0, 80.0, 95.0, 110.0, 125.0, 140.0, 152.0)
 DOWNS_DEG = np.arange(-90.0, 91.0, 15.0)
 ROLLS_DEG = (0.0, 90.0, 180.0, 270.0)
-YAW_PRIOR_DEG = 10.0  # a turn in yaw alone does not tell whether the camera looks straight ahead
+YAW_PRIOR_DEG = 10.0  # turning the vehicle in yaw alone cannot show whether the camera looks straight ahead
 LEVER_PRIOR = 0.3  # of the height: an arm's length at chest height
 HUBER_PX = 0.5  # residual in the shrunk image beyond which a corner counts less
-BLOCKS = 8  # of the time, each left out once: how much the result changes is its uncertainty
-LEAST_TURN_RAD_S = 0.1  # rms: below it there is nothing to measure with
+BLOCKS = 8  # of the time, each left out once (jackknife): the scatter of the results is their uncertainty
+LEAST_TURN_RAD_S = 0.1  # RMS angular velocity: with less the result is noise
 FEWEST_INTERVALS = 40
 
 
@@ -53,7 +53,7 @@ class Interval:
 
 @dataclass(slots=True)
 class Waved:
-    """What was gathered: intervals of corners, the attitude (times, and roll, pitch, yaw), and the frames' size."""
+    """The data of a wave: intervals of corners, the attitude (times, and roll, pitch, yaw), and the frames' size."""
 
     intervals: list[Interval] = field(default_factory=list)
     attitude_t_s: list[float] = field(default_factory=list)
@@ -78,7 +78,7 @@ class Measured:
 
 @dataclass(frozen=True, slots=True)
 class Mounting:
-    """What the waving tells.  `delay_s` counts from exposure to the time that the frames bear.
+    """The result of a wave.  `delay_s` counts from exposure to the frames' time stamp.
 
     `roll_deg` is the camera's turn about its own axis (180: upside down), `yaw_deg` to the right of the nose.
     `explained` is the fraction of the vehicle's angular velocity that the image shows.
@@ -96,7 +96,7 @@ class Mounting:
 
 
 class WaveError(RuntimeError):
-    """The waving tells nothing; the message says why and what to do."""
+    """The wave gives no result; the message says why and what to do."""
 
 
 def gather(frames: Iterable[Frame | None], state: Callable[[], VehicleState], seconds: float) -> Waved:
@@ -117,7 +117,7 @@ def gather(frames: Iterable[Frame | None], state: Callable[[], VehicleState], se
 
 
 class Chain:
-    """Corners tracked from frame to frame (Lucas-Kanade), given out every SPAN_S and begun again."""
+    """Corners tracked from frame to frame (Lucas-Kanade), returned every SPAN_S and then found again."""
 
     def __init__(self) -> None:
         self._images: list[NDArray[np.uint8]] = []  # since the corners were found
@@ -160,7 +160,7 @@ def mount_matrix(yaw_rad: float, down_rad: float, roll_rad: float) -> Array:
 
 
 class Attitudes:
-    """The vehicle's attitude at any time, by a spline through what telemetry gave."""
+    """The vehicle's attitude at any time, by a spline through the telemetry."""
 
     def __init__(self, waved: Waved) -> None:
         self.first_s, self.last_s = waved.attitude_t_s[0], waved.attitude_t_s[-1]
@@ -222,7 +222,7 @@ def _degrees(angle: Measured) -> Measured:
 
 
 class Problem:
-    """The intervals' corners as arrays, and what a mounting would make of them.
+    """The intervals' corners as arrays, and where a mounting predicts them.
 
     A mounting is (8,): yaw, down, roll (radians), ln of the focal length's ratio, delay (s), lever over height (3).
     """
@@ -271,14 +271,14 @@ class Problem:
         return turn / np.diff(self.times, axis=1)
 
     def residuals(self, mounting: Array) -> Array:
-        """(2N + 4,) pixels over their noise, and what the priors say."""
+        """(2N + 4,) errors of the corners over their noise, and residuals of the priors."""
         yaw, down, roll, log_focal, delay_s = mounting[:5]
         lens, mount = self.scaled(float(log_focal)), mount_matrix(float(yaw), float(down), float(roll))
         first, second = (self.attitudes.at(self.times[:, n] - delay_s) for n in (0, 1))
         ned = np.einsum("nij,nj->ni", (first @ mount)[self.of], rays(lens, self.before))
-        fall = np.maximum(ned[:, 2], 0.0)[:, None]  # of the ray; 1/depth in heights above flat ground
+        inverse_depth = np.maximum(ned[:, 2], 0.0)[:, None]  # in heights above flat ground
         shift = ((second - first) @ mounting[5:8])[self.of]
-        there = np.einsum("nji,nj->ni", (second @ mount)[self.of], ned - fall * shift)
+        there = np.einsum("nji,nj->ni", (second @ mount)[self.of], ned - inverse_depth * shift)
         depth = np.maximum(there[:, 2:], 1e-3)
         pixels = distort(lens, there[:, :2] / depth) * (lens.fx, lens.fy) + (lens.cx, lens.cy)
         off = np.clip((pixels - self.after) / self.noise_px, -1e3, 1e3)
@@ -293,7 +293,7 @@ class Problem:
 
 
 def search(problem: Problem) -> tuple[Array, float]:
-    """The mounting of a coarse grid that explains most of the vehicle's angular velocity, and which fraction."""
+    """The mounting of a coarse grid that explains most of the vehicle's angular velocity, and that fraction."""
     plain = math.log(problem.lens.width / 2 / problem.lens.fx)
     focals = [-math.log(math.tan(math.radians(fov) / 2)) + plain for fov in FOVS_DEG]
     mounts = [(math.radians(d), math.radians(r)) for d, r in itertools.product(DOWNS_DEG.tolist(), ROLLS_DEG)]

@@ -1,4 +1,4 @@
-"""What the waving says of the settings: each value with its uncertainty, and the line that sets right what differs."""
+"""The wave's result against the settings: each value with its uncertainty, and the setting that corrects it."""
 
 import math
 from collections.abc import Sequence
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from follow.flight.finding import Finding, Health
 from follow.flight.wave import Measured, Mounting
 
-SIGMAS = 3.0  # of the measurement, beyond which a difference is none of its own
+SIGMAS = 3.0  # a difference within this many standard deviations may be an error of the measurement
 MOUNT_DEG, FOV_FRACTION, DELAY_S = 2.0, 0.05, 0.03  # differences that are not worth a change of the settings
 CRUDE_DEG, CRUDE_FRACTION, CRUDE_S = 1.0, 0.03, 0.015  # standard deviations beyond which nothing is judged
 ROLL_DEG = 5.0  # of a mount that is meant to be level
@@ -53,7 +53,7 @@ def _mount(found: Mounting, believed: Believed) -> Finding:
 
 
 def _roll(found: Mounting) -> Finding:
-    """The camera about its own axis: nothing in the settings turns it."""
+    """The camera's roll about its own axis: no setting corrects it."""
     roll = found.roll_deg
     text = f"{said(roll, 'degrees')} about its axis"
     if roll.std > CRUDE_DEG:
@@ -70,7 +70,7 @@ def _roll(found: Mounting) -> Finding:
 
 
 def _yaw(yaw: Measured) -> Finding:
-    """How far it looks to the side; turns in yaw alone do not tell."""
+    """The camera's angle to the side; turning the vehicle in yaw alone does not show it."""
     text = f"{said(yaw, 'degrees')} to the right of the nose"
     if yaw.std > CRUDE_DEG:
         return Finding("mount-yaw", Health.WARN, f"{text}: too little motion to tell", "also roll it and lift the nose")
@@ -80,7 +80,7 @@ def _yaw(yaw: Measured) -> Finding:
 
 
 def _view(found: Mounting, believed: Believed) -> Finding:
-    """The focal length, told as the field of view."""
+    """The focal length, reported as the field of view."""
     fov, ratio = found.fov_deg, found.focal_ratio
     text = f"{said(fov, 'degrees')} wide; the settings say {believed.fov_deg:.1f}"
     if ratio.std > CRUDE_FRACTION * ratio.value:
