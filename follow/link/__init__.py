@@ -1,4 +1,4 @@
-"""Links: everything that knows the vehicle's state and takes setpoints, behind the `Link` seam.
+"""Links: everything that gives the vehicle's state and takes setpoints, behind the `Link` seam.
 
 `client` is MAVLink without I/O (bytes in, state out); `transports` and `mavsdk_transport` carry the bytes; `replay`
 is a simple vehicle for recorded footage.  May import: messages, geometry, ranges.

@@ -1,7 +1,8 @@
-"""What the reading thread heard and the loop has not used yet: bounded, so that a flood starves no memory and no loop.
+"""The queue between the reading thread and the loop: bounded, so that a flood fills no memory and delays no round.
 
-The vehicle's address goes first.  Of all others a few datagrams each are kept, and they take turns: the first packet of
-the true vehicle, or its first from a new address, is heard although somebody floods the port.  The newest survive.
+The vehicle's address has priority.  Every other address has a short queue, and they take turns, so that the first
+packet of the true vehicle, or its first from a new address, is read although somebody floods the port.  Full queues
+drop their oldest packets.
 """
 
 import threading
@@ -13,7 +14,7 @@ from follow.messages import NEVER
 Arrival = tuple[float, bytes, Source]
 """When it arrived, the bytes, from whom."""
 
-VEHICLE_BYTES = 1 << 17  # more than a serial line at 921600 baud brings in a second
+VEHICLE_BYTES = 1 << 17  # queue of the vehicle: more than a serial line at 921600 baud delivers in a second
 ADDRESSES = 64  # other than the vehicle's
 ADDRESS_DATAGRAMS = 32  # of each
 FLOOD = 500  # more dropped packets than this in FLOOD_EVERY_S are a flood
@@ -34,7 +35,7 @@ class Arrivals:
         self._told_t_s = NEVER
 
     def put(self, arrival: Arrival) -> None:
-        """Keep it, at the cost of older ones."""
+        """Queue an arrival; a full queue drops its oldest."""
         with self._lock:
             if arrival[2] == self._peer:
                 self._vehicles.append(arrival)
@@ -50,7 +51,7 @@ class Arrivals:
             waiting.append(arrival)
 
     def set_peer(self, peer: Source) -> None:
-        """Who the vehicle is from now on; what waits from this address keeps its order."""
+        """Set the vehicle's address; what is queued from it keeps its order."""
         if peer == self._peer:
             return
         with self._lock:
@@ -60,7 +61,7 @@ class Arrivals:
             self._bytes += sum(len(data) for _, data, _ in waiting)
 
     def take_vehicles(self) -> Arrival | None:
-        """The oldest one from the vehicle's address."""
+        """The oldest arrival from the vehicle's address."""
         with self._lock:
             if not self._vehicles:
                 return None
@@ -69,7 +70,7 @@ class Arrivals:
             return arrival
 
     def take_others(self) -> Arrival | None:
-        """The oldest one from the next of the other addresses."""
+        """The oldest arrival from the next of the other addresses."""
         with self._lock:
             if not self._others:
                 return None
@@ -81,7 +82,7 @@ class Arrivals:
             return arrival
 
     def flood(self, t_s: float) -> int:
-        """How many packets were dropped lately, if that is a flood and it is time to tell of it; else 0."""
+        """The number of recently dropped packets if that is a flood and a warning is due; else 0."""
         looked_t_s, before = self._looked
         lost = self.dropped - before
         is_told = lost >= FLOOD and t_s - self._told_t_s > FLOOD_EVERY_S

@@ -1,15 +1,15 @@
 """Our side of a MAVLink link, without I/O: bytes in, a VehicleState out; setpoints and requests in, packets out.
 
-Rule 1: the vehicle is the PX4 or ArduPilot multirotor whose autopilot (component 1) sends HEARTBEAT; nothing else is
-believed (`follow/link/telemetry.py`), and only from the address that it was first heard at (`follow/link/identity.py`).
+Rule 1: the vehicle is the PX4 or ArduPilot multirotor whose autopilot (component 1) sends HEARTBEAT.  No other sender
+changes the state (`follow/link/telemetry.py`), not even with its id: it has one address (`follow/link/identity.py`).
 Rule 2: we are component 191 of that vehicle, with a HEARTBEAT each second.
 Rule 3: a mode is requested only by `take_control` and `hold`, and counts only when the autopilot's heartbeat shows it.
 Rule 4: once the vehicle has left the mode that we requested, we have no control until `take_control` is called again.
-While it never left that mode, Hold may still be requested, however long nothing was heard: in GUIDED no stick acts.
+If it never left that mode, Hold may still be requested, even after a long silence, because no stick acts in GUIDED.
 Rule 5: a stream that stops or pauses while we are in control ends with a request for Hold or BRAKE, because PX4
 would fall back and then re-enter OFFBOARD by itself at the next setpoint.
-Rule 6: Hold is requested only on a heartbeat that is newer than the reason for it and still shows our mode: whoever
-chose another mode meanwhile keeps the vehicle.
+Rule 6: Hold is requested only on a heartbeat that is newer than the reason for it and still shows our mode, so that it
+never overrides a mode that somebody else chose meanwhile.
 """
 
 import logging
@@ -35,21 +35,21 @@ VELOCITY_AND_YAW_RATE = 0x05C7  # ignore position, acceleration and yaw; masking
 
 HEARTBEAT_EVERY_S = 1.0  # the MAVLink heartbeat protocol's rate
 TIMESYNC_EVERY_S = 0.2  # five chances a second for an exchange without delay
-MODE_EVERY_S = 0.2  # a HEARTBEAT is requested: its mode is the only truth, and PX4 keeps the stream at 1 Hz
+MODE_EVERY_S = 0.2  # a HEARTBEAT is requested: only it shows the mode, and PX4 keeps the stream at 1 Hz
 MODE_SOON_S = 0.05  # the same while a requested mode is awaited
 VERSION_EVERY_S = 2.0
 STREAM_GAP_S = 0.5  # 2 Hz; also the shortest COM_OF_LOSS_T and GUID_TIMEOUT that we ask for
-SILENT_S = 3.0  # without a heartbeat: the link is cut, and nobody is obeyed
-DEAD_STICKS_EVERY_S = 10.0  # told as often as a pilot may need to read it
+SILENT_S = 3.0  # without a heartbeat for this long the link is cut, and the vehicle obeys no setpoint
+DEAD_STICKS_EVERY_S = 10.0  # the warning about dead sticks is repeated at this interval
 TEXT_BYTES = 50  # of STATUSTEXT
 REFUSAL_TEXT_S = 2.0  # a STATUSTEXT within this time of a refused request is its reason
 
 
 class MavlinkClient:
-    """One companion's conversation with one vehicle.
+    """One companion's MAVLink connection with one vehicle.
 
-    Feed it with `receive` and `step`, and send what `take` returns.  `system_id` selects the vehicle; None takes the
-    first one heard.
+    Feed it with `receive` and `step`, and send the packets that `take` returns.  `system_id` selects the vehicle; None
+    takes the first one heard.
     """
 
     def __init__(self, system_id: int | None = None, signing: Signing | None = None):
@@ -59,7 +59,7 @@ class MavlinkClient:
         self._vehicle = TelemetryDecoder(system_id)
         self._rates = StreamRates()
         self._in_control = False
-        self._is_in_ours = False  # in the control mode that we requested, ever since; also when control was given back
+        self._is_in_ours = False  # it has stayed in the control mode that we requested; also after we gave control back
         self._request: ModeRequest | None = None
         self._refusal = ""
         self._is_held = False  # in the Hold or BRAKE that we requested
@@ -92,12 +92,12 @@ class MavlinkClient:
 
     @property
     def requested_mode(self) -> str:
-        """The mode that is requested and not yet shown or given up; empty if none is."""
+        """The mode that is requested and not yet confirmed or given up; empty if there is no request."""
         return "" if self._request is None else self._request.mode
 
     @property
     def requested_times(self) -> int:
-        """How often it was sent: not at all while no heartbeat shows that the vehicle is still ours."""
+        """How often the request was sent: 0 until a heartbeat shows that the vehicle is still in our mode."""
         return 0 if self._request is None else self._request.times
 
     def state(self, t_s: float) -> VehicleState:
@@ -112,7 +112,7 @@ class MavlinkClient:
         )
 
     def receive(self, data: bytes, t_s: float, datagram: bool = False, source: Source = None) -> list[Message]:
-        """Use bytes that arrived at `t_s` from `source`; returns the messages in them, believed or not."""
+        """Use bytes that arrived at `t_s` from `source`; returns the messages in them, accepted or not."""
         self._t_s = max(self._t_s, t_s)
         messages = self.packets.read_datagram(data) if datagram else self.packets.read(data)
         for message in messages:
@@ -134,7 +134,7 @@ class MavlinkClient:
         return messages
 
     def is_from_vehicle(self, message: Message) -> bool:
-        """Whether it bears the vehicle's id and its autopilot's component."""
+        """Whether a message has the vehicle's id and its autopilot's component."""
         return (message.get_srcSystem(), message.get_srcComponent()) == (self.vehicle_id, AUTOPILOT)
 
     def take(self) -> list[bytes]:
@@ -200,7 +200,7 @@ class MavlinkClient:
     def take_control(self) -> None:
         """Request, once, the mode that obeys setpoints, as soon as they are streaming.
 
-        Only an operator's explicit order may lead here.  Raises LinkError if no vehicle is known.
+        Call this only on an operator's explicit order.  Raises LinkError if no vehicle is known.
         """
         now = self._vehicle.state
         self._refusal, self._is_barred = "", False
@@ -209,9 +209,9 @@ class MavlinkClient:
     def hold(self, *, for_sticks: bool = False) -> bool:
         """Give the vehicle back if it obeys us or may soon; returns whether a request may follow.
 
-        Requests Hold or BRAKE, or with `for_sticks` the mode that lets the pilot's sticks act, as soon as a heartbeat
-        newer than this call shows that the vehicle is still in our mode, whatever came of an earlier request.  For
-        the sticks it may also be in the Hold or BRAKE that was requested here.  In any other mode somebody else flies.
+        Requests Hold or BRAKE, or with `for_sticks` the mode in which the pilot's sticks act, as soon as a heartbeat
+        newer than this call shows that the vehicle is still in our mode, whatever the result of an earlier request.
+        With `for_sticks` it may also be in the Hold or BRAKE that we requested.  In any other mode somebody else flies.
         """
         if self._vehicle.state.autopilot is None:
             return False
@@ -229,7 +229,7 @@ class MavlinkClient:
             return False
         before = (names.control,) if request is None else (*request.from_modes, names.control)
         self._in_control = False
-        self._done_t_s.pop("mode", None)  # ask for the mode at once
+        self._done_t_s.pop("mode", None)  # request a HEARTBEAT at once
         self._request = ModeRequest(mode, before, self._t_s, since_t_s=self._t_s)
         return True
 
@@ -272,7 +272,7 @@ class MavlinkClient:
         return True
 
     def _is_forged(self, message: Message, source: Source, t_s: float) -> bool:
-        """Whether a packet bears the vehicle's id but does not come from the vehicle's address."""
+        """Whether a packet has the vehicle's id but does not come from the vehicle's address."""
         if self.vehicle_id is None or not self.is_from_vehicle(message):
             return False
         known = self.peer.address
@@ -287,7 +287,7 @@ class MavlinkClient:
     # Modes
 
     def _hear_answer(self, message: dialect.MAVLink_command_ack_message) -> None:
-        """A refused mode request is over, and its result is the reason."""
+        """End a mode request that the autopilot refused, with the result as the reason."""
         request = self._request
         if request is None or not request.times or message.command != dialect.MAV_CMD_DO_SET_MODE:
             return
@@ -302,7 +302,7 @@ class MavlinkClient:
             self._give_up(f"the autopilot refused {request.mode} ({name.removeprefix('MAV_RESULT_')})")
 
     def _hear_text(self, message: dialect.MAVLink_statustext_message, t_s: float) -> None:
-        """The autopilot's words about a request that it refused belong to the reason."""
+        """Append the autopilot's text about a refused request to the reason."""
         recent = t_s - self._done_t_s.get("request", NEVER) <= REFUSAL_TEXT_S
         if self._refusal and recent and self.is_from_vehicle(message) and message.text not in self._refusal:
             self._refusal += f": {message.text}"
@@ -312,7 +312,7 @@ class MavlinkClient:
         self._refusal, self._request = reason, None
 
     def _pursue(self, request: ModeRequest, autopilot: Autopilot, t_s: float) -> None:
-        """Send the request when it may be sent; drop it when it is over."""
+        """Send the request when it is due; drop it after its timeout."""
         now = self._vehicle.state
         control = self._names().control
         streaming_s = self._stream_t_s - self._stream_since_t_s if self._stream_t_s > NEVER else None
@@ -333,24 +333,24 @@ class MavlinkClient:
         """Compare the vehicle's mode with the one that we requested."""
         mode, request = self._vehicle.state.mode, self._request
         if request is not None and self._vehicle.state.heartbeat_t_s > request.cause_t_s:
-            # PX4 goes back to OFFBOARD by itself as our stream begins, where it had fallen back from it.
+            # PX4 returns to OFFBOARD by itself when our stream begins, if it had fallen back from it.
             by_itself = request.mode == self._names().control and self._stream_t_s > NEVER
             if mode == request.mode and (request.times or by_itself):
                 self._in_control = self._is_in_ours = mode == self._names().control
                 self._is_held = mode == self._names().hold
                 self._request = None
             elif mode not in request.from_modes and request.mode != mode:
-                self._request = None  # somebody chose another mode meanwhile: theirs counts
+                self._request = None  # somebody else chose another mode meanwhile: leave it
             elif mode == request.mode != self._names().control:
-                self._request = None  # it is there already, by somebody else's choice or a failsafe
+                self._request = None  # the vehicle is already in it, by somebody else's choice or a failsafe
         if self._is_held and mode != self._names().hold:
             self._is_held = False
         if self._is_in_ours and (mode != self._names().control or not self._vehicle.state.armed):
-            self._in_control = self._is_in_ours = False  # also after a disarm it is not ours again without an order
-        self._tell_of_dead_sticks()
+            self._in_control = self._is_in_ours = False  # also after a disarm, until a new order
+        self._warn_of_dead_sticks()
 
-    def _tell_of_dead_sticks(self) -> None:
-        """Say again and again that the vehicle stays in our mode though nothing is sent or requested."""
+    def _warn_of_dead_sticks(self) -> None:
+        """Warn repeatedly while the vehicle stays in our mode although nothing is sent or requested."""
         left_alone = self._is_in_ours and not self._in_control and self._request is None
         is_heard = self._t_s - self._vehicle.state.heartbeat_t_s <= HEARTBEAT_EVERY_S
         if left_alone and is_heard and self._is_due("dead sticks", self._t_s, DEAD_STICKS_EVERY_S):

@@ -1,13 +1,11 @@
-"""The vehicle's clock seen from ours: when was this measured, in our time?"""
+"""Converts the vehicle's timestamps to our clock: when was this measured?"""
 
 from collections import deque
 
 from follow.messages import NEVER
 
-DRIFT = (
-    0.01  # assumed clock drift, s/s: a quartz is 200 times better, a simulator on a loaded machine up to 5 times worse
-)
-ANSWER_S = 10.0  # wait this long for a reply: longer than any buffer on the way delays one
+DRIFT = 0.01  # assumed clock drift, s/s: a quartz is 200 times better, a simulator on a loaded machine 5 times worse
+ANSWER_S = 10.0  # timeout of a reply: longer than any buffer on the way delays one
 ROUNDING_S = 1e-6  # nanoseconds on the wire, binary fractions here
 AHEAD_S = 0.1  # a timestamp further in the future than this means that the vehicle's clock was set forward
 WRAP_S = 2**32 / 1e3  # `time_boot_ms` starts again at 0 after 49.7 days; TIMESYNC does not
@@ -18,9 +16,9 @@ class VehicleClock:
     """Maps the vehicle's time since boot to our clock by TIMESYNC, from the exchange with the smallest error bound.
 
     Half the round trip bounds an exchange's error; DRIFT times its age adds to that.  A late reply counts like any
-    other, so that late telemetry has at least half the round trip as its age.  Until a reply comes, the age is taken
-    to be half of the time waited for it, or half of the last known round trip if that is more.  If no reply ever came
-    within ANSWER_S, the time of arrival stands for the time of measurement: `follow doctor` is red then.
+    other, so that late telemetry has at least half the round trip as its age.  Until a reply arrives, the assumed age
+    is half of the time waited for it, or half of the last known round trip if that is more.  If no reply ever arrived
+    within ANSWER_S, the time of arrival replaces the time of measurement: `follow doctor` is red then.
     """
 
     def __init__(self) -> None:
@@ -35,7 +33,7 @@ class VehicleClock:
         self._answers = False
 
     def ask(self, t_s: float) -> None:
-        """Note that a request with our time `t_s` in it is sent now."""
+        """Note that a request which holds our time `t_s` is sent now."""
         while self._asked and t_s - self._asked[0] > ANSWER_S:
             self._asked.popleft()
         self._asked.append(t_s)
@@ -81,7 +79,7 @@ class VehicleClock:
         return min(measured, t_s)
 
     def _assumed_delay_s(self, t_s: float) -> float:
-        """The age at arrival of what arrives at `t_s` while the vehicle's clock is unknown."""
+        """The assumed age of telemetry that arrives at `t_s` while the vehicle's clock is unknown."""
         waited_s = 0.0 if self._waiting_since_t_s is None else max(t_s - self._waiting_since_t_s, 0.0)
         if waited_s > ANSWER_S and not self._answers:
             return 0.0

@@ -1,7 +1,7 @@
 """A vehicle over UDP, TCP, a serial line or MAVSDK: `follow.link.client` with a transport and a clock.
 
-One thread only reads, so that the time of arrival is right while the loop computes.  Everything is judged and sent in
-the caller's thread: if that hangs, the stream of setpoints stops and the autopilot's failsafe acts.
+One thread only reads, so that the times of arrival are right while the loop computes.  The caller's thread decodes and
+sends: if it hangs, the stream of setpoints stops and the autopilot's failsafe acts.
 """
 
 import logging
@@ -23,11 +23,11 @@ from follow.messages import NEVER, Notify, Setpoint, VehicleState
 
 log = logging.getLogger(__name__)
 
-VEHICLE_S = 0.02  # of a round for the packets of the vehicle: several hundred of them; it sends some 250 a second
-OTHERS_S = 0.005  # ... for everybody else's
+VEHICLE_S = 0.02  # most time per round for the vehicle's packets: several hundred of them; it sends some 250 a second
+OTHERS_S = 0.005  # most time per round for all other packets
 READ_S = 0.05  # the reading thread checks this often whether it should end
-WAITING_EVERY_S = 5.0  # between two lines about what is still missing
-HOLD_S = 2.0  # PX4 shows a new mode up to 1 s late; twice that
+WAITING_EVERY_S = 5.0  # interval between two reports of what is still missing
+HOLD_S = 2.0  # timeout of the last request; PX4 shows a new mode up to 1 s late, and this is twice that
 UNSENT_EVERY_S = 10.0  # dropped packets are reported at most this often
 
 
@@ -44,7 +44,9 @@ class MavlinkLink:
         self.client = MavlinkClient(system_id, signing)
         self.unsent = 0  # packets that the transport dropped
         self._unsent_told = (NEVER, 0)  # when it was last reported, and how many by then
-        self.listeners: list[Callable[[Message, float], object]] = []  # hear what comes from the vehicle's address
+        self.listeners: list[
+            Callable[[Message, float], object]
+        ] = []  # called with each message from the vehicle's address
         self._transport = transport
         self._tlog = tlog
         self._arrived = Arrivals()
@@ -73,7 +75,7 @@ class MavlinkLink:
         return self._transport.reach()
 
     def state(self) -> VehicleState:
-        """What is known of the vehicle now."""
+        """The vehicle's state now."""
         self.pump()
         return self.client.state(time.monotonic())
 
@@ -83,21 +85,21 @@ class MavlinkLink:
         self._flush()
 
     def take_control(self) -> None:
-        """Request, once, OFFBOARD or GUIDED; only an operator's explicit order may lead here."""
+        """Request, once, OFFBOARD or GUIDED; call this only on an operator's explicit order."""
         self.client.take_control()
 
     def hold(self, *, for_sticks: bool = False) -> None:
-        """Request, once, Hold or BRAKE if the vehicle obeys us; with `for_sticks` a mode that obeys the pilot's."""
+        """Request, once, Hold or BRAKE if the vehicle obeys us; with `for_sticks` a mode that obeys the sticks."""
         self.client.hold(for_sticks=for_sticks)
 
     def pump(self) -> list[Message]:
-        """Use what arrived and send what is due; returns the messages received."""
+        """Process the arrivals and send what is due; returns the messages received."""
         messages: list[Message] = []
         for t_s, data, source in self._to_use():
             refused = self.client.packets.refused
             found = self.client.receive(data, t_s, self._transport.datagrams, source)
             self._arrived.set_peer(self.client.peer.address)
-            # A vehicle whose signing clock is behind ours is refused until it has heard ours.
+            # A vehicle whose signing clock is behind ours is refused until it has received our timestamp: answer it.
             is_unheard = self.client.vehicle_id is None and self.client.packets.refused > refused
             if is_unheard or self.client.peer.address is not None:
                 self._transport.answer_to(source if is_unheard else self.client.peer.address)
@@ -106,7 +108,7 @@ class MavlinkLink:
                 for message in found:
                     self._tlog.write(bytes(message.get_msgbuf()), unix_s)
             messages += found
-            if source == self.client.peer.address:  # never what a stranger on the network sends
+            if source == self.client.peer.address:  # never packets of a stranger on the network
                 for listener in self.listeners:
                     for message in found:
                         listener(message, t_s)
@@ -117,7 +119,7 @@ class MavlinkLink:
         return messages
 
     def _to_use(self) -> Iterator[Arrival]:
-        """What arrived, the vehicle's first, for no longer than a round can spare: the rest waits or is dropped."""
+        """The arrivals, the vehicle's first, within the time that a round has for them: the rest stays queued."""
         for take, most_s in ((self._arrived.take_vehicles, VEHICLE_S), (self._arrived.take_others, OTHERS_S)):
             end_s = time.monotonic() + most_s
             while time.monotonic() < end_s and (arrival := take()) is not None:
@@ -126,7 +128,7 @@ class MavlinkLink:
     def wait_for_vehicle(self, timeout_s: float, report: Notify = log.info) -> None:
         """Wait until heartbeat, attitude and position are known; raises LinkError naming what is missing.
 
-        `report` is told what is missing every WAITING_EVERY_S.
+        `report` gets a line about what is missing every WAITING_EVERY_S.
         """
         began_s = time.monotonic()
         said_s, end_s = began_s, began_s + timeout_s
@@ -151,7 +153,7 @@ class MavlinkLink:
             time.sleep(0.01)
 
     def listen(self, seconds: float) -> None:
-        """Keep the conversation going for a while without sending setpoints."""
+        """Run the link for a while without sending setpoints."""
         end_s = time.monotonic() + seconds
         while time.monotonic() < end_s:
             self.pump()
@@ -184,7 +186,7 @@ class MavlinkLink:
             self._unsent_told = time.monotonic(), self.unsent
 
     def _leave(self) -> None:
-        """Leave the vehicle hovering: in Hold or BRAKE if it obeyed us, as it is if it did not."""
+        """Leave the vehicle in Hold or BRAKE if it obeyed us, in its own mode if it did not."""
         self.pump()
         if not self.client.hold():
             if self.client.vehicle_id is not None:

@@ -1,7 +1,7 @@
-"""A dry run: the vehicle is heard and asked for its telemetry, and nothing that could move it is sent.
+"""A dry run: it receives and requests telemetry, and sends nothing that could move the vehicle.
 
 Once the gate engages, the vehicle counts as obeying as long as it stays in its mode, so that estimate, servo and gate
-work as in a flight and what they would have sent is recorded.
+work as in a flight and the recording shows the setpoints that they would have sent.
 """
 
 import logging
@@ -22,7 +22,7 @@ TELEMETRY = (
 """The commands that a dry run may send."""
 
 COMMAND_LONG, COMMAND_AT = 76, 28
-"""Number of the message, and where its payload holds the command."""
+"""Number of the message, and the command's offset in its payload."""
 
 PASSED = (
     dialect.MAVLINK_MSG_ID_HEARTBEAT,
@@ -39,7 +39,7 @@ PASSED = (
     dialect.MAVLINK_MSG_ID_VIDEO_STREAM_INFORMATION,
     dialect.MAVLINK_MSG_ID_VIDEO_STREAM_STATUS,
 )
-"""Messages that move nothing; every other one is dropped."""
+"""Messages that cannot move the vehicle; all others are dropped."""
 
 
 def moves_nothing(packet: bytes) -> bool:
@@ -54,17 +54,17 @@ def moves_nothing(packet: bytes) -> bool:
 class DryRunLink(MavlinkLink):
     """A link that cannot move its vehicle."""
 
-    _engaged_in: str | None = None  # the vehicle's mode as the gate engaged
+    _engaged_in: str | None = None  # the vehicle's mode when the gate engaged
 
     def state(self) -> VehicleState:
-        """What is known of the vehicle; it counts as ours from ENGAGE on, until it changes its mode."""
+        """The vehicle's state; it counts as under our control from ENGAGE on, until it changes its mode."""
         state = super().state()
         if state.mode != self._engaged_in:
             self._engaged_in = None
         return state if self._engaged_in is None else replace(state, in_control=True)
 
     def send(self, setpoint: Setpoint | None) -> None:
-        """Send nothing: the setpoint is in the recording."""
+        """Send no setpoint: it is only recorded."""
         self.pump()
 
     def take_control(self) -> None:
@@ -73,7 +73,7 @@ class DryRunLink(MavlinkLink):
         log.info("dry run: FOLLOW is pretended, nothing is sent to the vehicle")
 
     def hold(self, *, for_sticks: bool = False) -> None:
-        """Pretend that the vehicle is given back."""
+        """Pretend to release the vehicle."""
         self._engaged_in = None
 
     def _write(self, packets: Sequence[bytes]) -> None:

@@ -1,7 +1,7 @@
-"""Who is on the line: the address that speaks for the vehicle, and whether a second sender uses its id.
+"""Who sends on the link: the vehicle's address, and whether a second sender uses its id.
 
-Without signing nothing proves a sender.  What can be checked is checked: one address is kept for the vehicle, and two
-senders of one id give themselves away by their sequence numbers and by their times since boot.
+Without signing nothing authenticates a sender.  Two checks remain: the vehicle keeps one address, and two senders of
+one id show in their sequence numbers and in their times since boot.
 """
 
 from collections import deque
@@ -12,21 +12,21 @@ from follow.messages import NEVER
 Source = tuple[str, int] | None
 """A datagram's address; None on a line with only two ends."""
 
-PEER_LOST_S = 10.0  # a vehicle silent for this long may have a new address: longer than any failsafe waits
-NEW_PEER_S = 2.0  # ... and the new address must have spoken for this long
+PEER_LOST_S = 10.0  # a vehicle silent for this long may have a new address: longer than the timeout of any failsafe
+NEW_PEER_S = 2.0  # a new address must have sent for this long, and NEW_PEER_DATAGRAMS
 NEW_PEER_DATAGRAMS = 10
 MOST_STRANGERS = 64  # addresses that are remembered: a forger may use a new one for each datagram
-BACKWARD = range(128, 236)  # a sequence number 21 to 128 behind the last: more than reordering does, less than a loss
-STRANGE_PACKETS = 3  # in CONTESTED_S: fewer happen after an outage of more than 128 packets, or a restart
+BACKWARD = range(128, 236)  # a sequence number 21 to 128 behind the last: beyond reordering, and not a gap by loss
+STRANGE_PACKETS = 3  # in CONTESTED_S: an outage of more than 128 packets, or a restart, causes fewer
 CONTESTED_S = 5.0
 
 
 @dataclass(slots=True)
 class PeerAddress:
-    """The address that speaks for the vehicle.  The first one is kept; an unsigned datagram never moves it.
+    """The vehicle's address: the first one, until it has been silent for PEER_LOST_S or a signed packet moves it.
 
     `strangers` holds the other addresses that claimed to be the vehicle, with the time of the last datagram of each:
-    the MOST_STRANGERS latest ones.  `stranger_t_s` is when the last of them spoke.
+    the MOST_STRANGERS latest ones.  `stranger_t_s` is when the last of them sent.
     """
 
     address: Source = None
@@ -37,7 +37,7 @@ class PeerAddress:
     _count: int = 0
 
     def admits(self, source: Source, t_s: float, *, signed: bool) -> bool:
-        """Whether packets of the vehicle from this address are believed; `signed`: they bear the right signature."""
+        """Whether to accept the vehicle's packets from this address; `signed`: they have the right signature."""
         if source is None:
             return True
         if self.address is None or source == self.address or signed:
@@ -45,7 +45,7 @@ class PeerAddress:
             return True
         if self.strangers.get(source, NEVER) < t_s - CONTESTED_S or not self._count:
             self._since_t_s, self._count = t_s, 0
-        self.strangers.pop(source, None)  # to the end: the first one is the one that has been silent for longest
+        self.strangers.pop(source, None)  # move it to the end: the first entry has been silent for longest
         self.strangers[source] = self.stranger_t_s = t_s
         if len(self.strangers) > MOST_STRANGERS:
             del self.strangers[next(iter(self.strangers))]
@@ -61,7 +61,7 @@ class PeerAddress:
 
 @dataclass(slots=True)
 class SenderWatch:
-    """Whether packets of one id come from two senders: sequence numbers or times since boot that go back and forth."""
+    """Detects two senders with one id: their sequence numbers or times since boot go back and forth."""
 
     contested_t_s: float = NEVER
     _sequence: int | None = None

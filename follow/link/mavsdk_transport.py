@@ -1,4 +1,4 @@
-"""A transport over MAVSDK, which keeps the connection and our heartbeat; messages pass through MavlinkDirect.
+"""A transport over MAVSDK, which maintains the connection and our heartbeat; messages pass through MavlinkDirect.
 
 MAVSDK's Offboard plugin is never used: its thread resends the last setpoint even if this program hangs, which keeps the
 autopilot's failsafe from acting.  A message sent through MavlinkDirect is sent once.
@@ -30,7 +30,7 @@ FIELDS = {kind.msgname: kind.fieldnames for kind in dialect.mavlink_map.values()
 class MavsdkTransport:
     """A connection in MAVSDK's own notation: `udpin://HOST:PORT`, `udpout://...`, `tcpout://...`, `serial://DEVICE:BAUD`.
 
-    Blocks up to `timeout_s` for an autopilot's heartbeat.  Raises LinkError if none comes or MAVSDK refuses the URL.
+    Blocks up to `timeout_s` for an autopilot's heartbeat.  Raises LinkError without one, or if MAVSDK refuses the URL.
     """
 
     datagrams = True
@@ -65,7 +65,7 @@ class MavsdkTransport:
             return b"", None
 
     def write(self, packet: bytes) -> bool:
-        """Hand one packet's message to MAVSDK, once.  Heartbeats are skipped: MAVSDK sends its own."""
+        """Pass one packet's message to MAVSDK, once.  Heartbeats are skipped: MAVSDK sends its own."""
         (message,) = self._reader.read_datagram(packet)
         if isinstance(message, dialect.MAVLink_heartbeat_message):
             return True
@@ -76,10 +76,10 @@ class MavsdkTransport:
         return True
 
     def answer_to(self, source: Source) -> None:
-        """Nothing: MAVSDK keeps the vehicle's address."""
+        """Do nothing: MAVSDK keeps the vehicle's address."""
 
     def reach(self) -> Reach:
-        """By the host in the URL: MAVSDK does not tell the vehicle's address."""
+        """Decided by the host in the URL: MAVSDK does not give the vehicle's address."""
         if self._url.startswith("serial"):
             return Reach.SERIAL
         host, _, _port = self._url.rpartition("://")[2].rpartition(":")
@@ -101,7 +101,7 @@ class MavsdkTransport:
         return mavsdk
 
     def _hear(self, heard: MavlinkMessage, _user: None) -> None:
-        """In MAVSDK's thread: turn its fields back into a packet, so that all transports share one path."""
+        """Runs in MAVSDK's thread: turn its fields back into a packet, so that all transports share one code path."""
         kind = KINDS.get(heard.message_name)
         if kind is None:
             return

@@ -1,4 +1,4 @@
-"""A requested flight mode: when its command may be sent, and when it is over."""
+"""A requested flight mode: when to send its command, and when the request is over."""
 
 from dataclasses import dataclass
 
@@ -14,9 +14,9 @@ STREAM_BEFORE_S = {Autopilot.PX4: 1.2, Autopilot.ARDUPILOT: 0.0}  # PX4: more th
 class ModeRequest:
     """A mode requested from a vehicle that is in one of `from_modes`.
 
-    Only a heartbeat newer than `cause_t_s` says anything about it: that is the last heartbeat known when control was
-    asked for, the time of the reason for Hold, and after each command the last heartbeat before it.  `since_t_s` is
-    when the wait for it began, None while control waits for the stream of setpoints.
+    Only a heartbeat newer than `cause_t_s` can confirm it or show another mode.  `cause_t_s` is the last heartbeat
+    before control was requested, or the time of the reason for Hold, and after each command the last heartbeat before
+    it.  `since_t_s` is when the timeout began, None while a request for control waits for the stream of setpoints.
     """
 
     mode: str
@@ -43,6 +43,6 @@ class ModeRequest:
         self.since_t_s = t_s if self.times == 1 else self.since_t_s
 
     def overdue(self, t_s: float) -> bool:
-        """Whether the request is over at `t_s`: long after the reason for Hold, or after the first command."""
+        """Whether the request has timed out at `t_s`, counted from the reason for Hold or from the first command."""
         since_t_s = self.since_t_s
         return since_t_s is not None and t_s >= since_t_s + GRACE_S and t_s >= self.next_t_s

@@ -17,7 +17,7 @@ Message = dialect.MAVLink_message
 MAGIC_V1, MAGIC_V2 = dialect.PROTOCOL_MARKER_V1, dialect.PROTOCOL_MARKER_V2
 SIGNED = dialect.MAVLINK_IFLAG_SIGNED
 HEADER_V1, HEADER_V2, CHECKSUM, SIGNATURE = 6, 10, 2, 13  # bytes
-FALSE_STARTS = 16  # searched behind in a datagram: each costs 10 microseconds, and 1400 bytes of 0xFE would be one each
+FALSE_STARTS = 16  # tolerated in a datagram: each costs 10 microseconds, and 1400 bytes of 0xFE would be 1400 of them
 
 
 class SignedMAVLink(dialect.MAVLink):
@@ -69,7 +69,7 @@ class Packets:
         return self._search()[0]
 
     def _search(self, most_false: float = math.inf) -> tuple[list[Message], int]:
-        """The messages in what waits, and how many starts were false; more than `most_false` end the search."""
+        """The messages in the buffer, and the number of false starts; more than `most_false` end the search."""
         buffer = self._waiting
         messages: list[Message] = []
         start = false = 0
@@ -96,9 +96,9 @@ class Packets:
         return messages, false
 
     def read_datagram(self, data: bytes) -> list[Message]:
-        """Decode one datagram: whole packets only; what is incomplete, or behind FALSE_STARTS, is discarded.
+        """Decode one datagram: whole packets only; discards incomplete ones, and the rest after FALSE_STARTS.
 
-        A network delivers a datagram as it was sent, so what is full of false starts was sent to cost time.
+        A network delivers datagrams unchanged, so one full of false starts was made to waste our time.
         """
         self._waiting += data
         messages, false = self._search(FALSE_STARTS)

@@ -38,7 +38,7 @@ OPTIONAL: dict[Autopilot, dict[str, float]] = {
         "TERRAIN_REPORT": 1.0,
     },
 }
-"""Message -> Hz of what an autopilot may lack: a vehicle without rangefinder or battery monitor is flown as well."""
+"""Message -> Hz, for messages that an autopilot may lack: a vehicle needs no rangefinder or battery monitor."""
 
 
 def number_of(name: str) -> int:
@@ -48,9 +48,9 @@ def number_of(name: str) -> int:
 
 @dataclass(slots=True)
 class StreamRates:
-    """Asks for each stream that brought less than half of its rate since the last look.
+    """Requests each stream that delivered less than half of its rate since the last check.
 
-    So it asks a restarted autopilot, which has forgotten the rates, again.
+    So a restarted autopilot, which has forgotten the rates, gets the requests again.
     """
 
     _looked_t_s: float = NEVER
@@ -58,7 +58,7 @@ class StreamRates:
     _asked: dict[str, tuple[int, float]] = field(default_factory=dict[str, tuple[int, float]])  # times, last time
 
     def missing(self, counts: Counter[str], autopilot: Autopilot, t_s: float) -> list[tuple[int, float]]:
-        """(message id, Hz) of the streams to ask for now; `counts` holds the messages received so far."""
+        """(message id, Hz) of the streams to request now; `counts` holds the messages received so far."""
         if t_s - self._looked_t_s < CHECK_EVERY_S:
             return []
         self._looked_t_s = t_s

@@ -1,4 +1,4 @@
-"""The replay link: a simple vehicle, so that recorded footage can be run through servo and gate.
+"""The replay link: a simple simulated vehicle, so that recorded footage can be run through servo and gate.
 
 Recorded footage does not react to the vehicle.  `follow.camera.window` makes it react: a virtual camera shows a window
 of each image, and the vehicle's yaw and height move the window, so that bad control loses a real target.
@@ -73,7 +73,7 @@ class ReplayLink:
             self._pass_time(self._round / self._fps)
 
     def _pass_time(self, t_s: float) -> None:
-        """Fly what is obeyed until `t_s`."""
+        """Fly the last accepted setpoint until `t_s`."""
         dt = 1 / self._fps if self._now is None else t_s - self._state.t_s
         if not self._streaming:
             timeout = STREAM_TIMEOUT_S[self._autopilot]
@@ -84,18 +84,18 @@ class ReplayLink:
         self._fly(t_s, dt)
 
     def _fly(self, t_s: float, dt: float) -> None:
-        old, wanted = self._state, self._obeyed
+        old, setpoint = self._state, self._obeyed
         turned = 1 - math.exp(-dt / YAW_TAU_S)
         sped = 1 - math.exp(-dt / SPEED_TAU_S)
         climbed = 1 - math.exp(-dt / CLIMB_TAU_S)
-        yaw_rate = old.yaw_rate_rad_s + turned * (wanted.yaw_rate_rad_s - old.yaw_rate_rad_s)
+        yaw_rate = old.yaw_rate_rad_s + turned * (setpoint.yaw_rate_rad_s - old.yaw_rate_rad_s)
         yaw = math.remainder(old.yaw_rad + dt * yaw_rate, math.tau)
-        north, east = heading_to_ned(wanted.forward_m_s, wanted.right_m_s, yaw)
+        north, east = heading_to_ned(setpoint.forward_m_s, setpoint.right_m_s, yaw)
         if self._holds_place:
             north = east = 0.0
         north_m_s = old.north_m_s + sped * (north - old.north_m_s)
         east_m_s = old.east_m_s + sped * (east - old.east_m_s)
-        down_m_s = old.down_m_s + climbed * (wanted.down_m_s - old.down_m_s)
+        down_m_s = old.down_m_s + climbed * (setpoint.down_m_s - old.down_m_s)
         flown = replace(
             old,
             yaw_rad=yaw,

@@ -1,4 +1,4 @@
-"""The Link seam: something that knows the vehicle's state and takes setpoints."""
+"""The Link seam: gives the vehicle's state and takes setpoints."""
 
 from types import TracebackType
 from typing import Protocol

@@ -1,7 +1,8 @@
-"""How old the bytes are that a connection has accepted and not delivered: nothing old may reach an autopilot.
+"""The age of the bytes in a connection's send buffer: no old setpoint may reach an autopilot.
 
-Linux tells how many bytes wait, for a TCP socket (SIOCOUTQ, which counts what the peer has not acknowledged) as for a
-serial line (TIOCOUTQ); it is one request with two names.  Other systems know it for serial lines only.
+Linux gives the number of bytes in the buffer, for a TCP socket (SIOCOUTQ, which counts what the peer has not
+acknowledged) and for a serial line (TIOCOUTQ); both are one request with two names.  Other systems know it for serial
+lines only.
 """
 
 import fcntl
@@ -9,11 +10,11 @@ import struct
 import termios
 from collections import deque
 
-UNSENT_S = 0.35  # what waits for longer than this is discarded: setpoints come 20 times a second or more
+UNSENT_S = 0.35  # older bytes are discarded: setpoints are sent 20 times a second or more
 
 
 def unsent_bytes(file: int) -> int:
-    """How many bytes wait in the send buffer of a socket or serial line; 0 where the system does not tell."""
+    """The number of bytes in the send buffer of a socket or serial line; 0 if the system does not know it."""
     try:
         (count,) = struct.unpack("i", fcntl.ioctl(file, termios.TIOCOUTQ, bytes(4)))
     except OSError:
@@ -22,7 +23,7 @@ def unsent_bytes(file: int) -> int:
 
 
 class SendQueue:
-    """When the bytes were written that still wait: how old the oldest of them is."""
+    """When the bytes in the send buffer were written, for the age of the oldest of them."""
 
     def __init__(self) -> None:
         self._written = 0
@@ -34,11 +35,11 @@ class SendQueue:
         self._writes.append((t_s, self._written))
 
     def age_s(self, waiting: int, t_s: float) -> float:
-        """The age of the oldest of the last `waiting` bytes, 0 if none waits."""
+        """The age of the oldest of the last `waiting` bytes, 0 if the buffer is empty."""
         while self._writes and self._writes[0][1] <= self._written - waiting:
             self._writes.popleft()
         return t_s - self._writes[0][0] if self._writes else 0.0
 
     def clear(self) -> None:
-        """Nothing waits any more."""
+        """Note that the buffer was emptied."""
         self._writes.clear()

@@ -20,8 +20,8 @@ KEY_BYTES = 32
 EPOCH_S = 1_420_070_400  # 2015-01-01 00:00 UTC in Unix time
 UNITS_PER_S = 100_000  # of 10 us
 # The stored timestamp is ahead of the clock by up to SAVE_AHEAD, or of the last packet by SAVE_PACKETS units, so that
-# it does not repeat after a crash.  A vehicle takes packets more than a minute off for a replay.  It is stored again
-# when half of that is used up: a disk may stall for the other half.
+# no timestamp repeats after a crash.  A vehicle rejects packets more than a minute off as a replay.  The timestamp is
+# stored again when half of the margin is used up: the disk may stall for the other half.
 SAVE_AHEAD = 20 * UNITS_PER_S
 SAVE_PACKETS = 20_000
 
@@ -45,9 +45,8 @@ class Signing:
         """Make `mav` sign its packets and refuse packets that are not signed with the same key."""
         mav.signing.secret_key = self.key
         mav.signing.sign_outgoing = True
-        mav.signing.allow_unsigned_callback = lambda _mav, _id: (
-            False
-        )  # without a callback, refused packets are not counted
+        # Without a callback pymavlink does not count refused packets.
+        mav.signing.allow_unsigned_callback = lambda _mav, _id: False
         self._stamp(mav)
         self._save()  # before the first packet; from now on in a thread
 

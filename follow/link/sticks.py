@@ -1,4 +1,4 @@
-"""The sticks of a ground station, which come as MAVLink messages to the vehicle, as PWM in microseconds."""
+"""The sticks of a ground station, decoded from its MAVLink messages to the vehicle, as PWM in microseconds."""
 
 from collections.abc import Callable
 from typing import Any
@@ -14,7 +14,7 @@ def joystick(message: Any) -> tuple[int, ...]:
 
 
 def overridden(message: Any) -> tuple[int, ...]:
-    """The sticks of an RC_CHANNELS_OVERRIDE as PWM, channels 1 to 4; one left alone counts as at rest."""
+    """The sticks of an RC_CHANNELS_OVERRIDE as PWM, channels 1 to 4; a channel without override counts as at rest."""
     sticks = message.chan1_raw, message.chan2_raw, message.chan3_raw, message.chan4_raw
     return tuple(CENTRE_US if pwm in NOT_OVERRIDDEN else pwm for pwm in sticks)
 

@@ -29,7 +29,7 @@ MULTIROTORS = {
 }
 AUTOPILOTS = {dialect.MAV_AUTOPILOT_PX4: Autopilot.PX4, dialect.MAV_AUTOPILOT_ARDUPILOTMEGA: Autopilot.ARDUPILOT}
 SETPOINT_TYPES = {"SET_POSITION_TARGET_LOCAL_NED", "SET_POSITION_TARGET_GLOBAL_INT", "SET_ATTITUDE_TARGET"}
-"""Messages with which a second program would steer the vehicle, wherever its own sticks are."""
+"""Messages with which a second program would steer the vehicle, besides its own sticks."""
 
 LANDED = {
     dialect.MAV_LANDED_STATE_ON_GROUND: Landed.ON_GROUND,
@@ -47,15 +47,15 @@ CHARGE = {
 }
 LEVELS = list(BatteryLevel)  # from best to worst
 BATTERY_AGE_S = 10.0  # a battery that has not been reported for this long is forgotten; PX4 reports it every 2 s
-JUMP_M = 0.5  # a position further than this from where the velocity leads is a reset of the estimate, not noise
-JUMP_GAP_S = 1.0  # over a longer gap the velocity says nothing of where the vehicle should be
-ACCEL_M_S2 = 10.0  # more than a multirotor accelerates: how far the velocity may mislead over a gap
-METRES_PER_DEGREE = 111_319.5  # of latitude, WGS 84 equator; home is near enough
+JUMP_M = 0.5  # a position further than this from the one extrapolated by velocity is an estimator reset, not noise
+JUMP_GAP_S = 1.0  # over a longer gap the velocity does not predict the position
+ACCEL_M_S2 = 10.0  # more than a multirotor accelerates: bounds the extrapolation's error over a gap
+METRES_PER_DEGREE = 111_319.5  # of latitude, at the WGS 84 equator: exact enough over the distance to home
 
 
 @dataclass(slots=True)
 class LinkObservations:
-    """What a person may want to know about the link besides the vehicle's state."""
+    """What else was received on the link, besides the vehicle's state."""
 
     counts: Counter[str] = field(default_factory=Counter[str])  # the vehicle's messages by type
     steering: dict[tuple[int, int], float] = field(default_factory=dict)  # other senders of setpoints, last heard at
@@ -72,15 +72,15 @@ class LinkObservations:
     status: dialect.MAVLink_sys_status_message | None = None  # SYS_STATUS
 
     def charge_percent(self) -> int | None:
-        """What is left in the battery by SYS_STATUS; None if the autopilot does not know (-1)."""
+        """The battery's remaining charge by SYS_STATUS; None if the autopilot does not know it (-1)."""
         left = -1 if self.status is None else self.status.battery_remaining
         return left if 0 <= left <= 100 else None
 
 
 class TelemetryDecoder:
-    """Listens for one vehicle: the PX4 or ArduPilot multirotor of `system_id`, or the first one heard if None.
+    """Decodes one vehicle's messages: the PX4 or ArduPilot multirotor of `system_id`, or the first one heard if None.
 
-    Everything else on the link (ground stations, cameras, other companions) is noted and not believed.
+    Other senders on the link (ground stations, cameras, other companions) are noted, but do not change the state.
     """
 
     def __init__(self, system_id: int | None = None):
@@ -178,7 +178,7 @@ class TelemetryDecoder:
             self._note_reset(measured_t_s, jump)
 
     def _take_odometry(self, message: dialect.MAVLink_odometry_message, t_s: float) -> None:
-        """PX4 counts its estimator's resets of any kind here; one that was seen as a jump is not counted twice."""
+        """PX4 counts its estimator's resets of any kind here; a reset already seen as a jump is not counted twice."""
         before, self._reset_counter = self._reset_counter, message.reset_counter
         if before not in (None, message.reset_counter) and t_s - self.state.reset_t_s > JUMP_GAP_S:
             self._note_reset(t_s, (0.0, 0.0, 0.0))
@@ -260,7 +260,7 @@ class TelemetryDecoder:
         self.state = replace(self.state, rc_healthy=healthy)
 
     def _take_rc_channels(self, message: dialect.MAVLink_rc_channels_message, t_s: float) -> None:
-        """Not believed while a second sender uses the vehicle's id: a switch is an order."""
+        """Ignored while a second sender uses the vehicle's id, because a switch is an order."""
         if message.chancount and not self.watch.is_contested(t_s):
             self.heard.rc_channels = tuple(getattr(message, f"chan{n}_raw") for n in range(1, 19))
             self.heard.rc_t_s = t_s
@@ -279,7 +279,7 @@ class TelemetryDecoder:
         self.heard.parameters[message.param_id] = value
 
     def is_answer(self, message: dialect.MAVLink_command_ack_message) -> bool:
-        """Whether it answers a command of ours.  Old autopilots leave the addressee 0, which is everybody."""
+        """Whether this answers a command of ours.  Old autopilots leave the target 0, which means everybody."""
         ours = self.system_id, COMPANION
         return all(
             to in (0, own) for to, own in zip((message.target_system, message.target_component), ours, strict=True)
@@ -321,7 +321,7 @@ class TelemetryDecoder:
 
 
 def jumped(state: VehicleState, position: tuple[float, ...], measured_t_s: float) -> tuple[float, float, float] | None:
-    """How far a position (and velocity) is from where the last one leads, if too far for noise; NED, metres."""
+    """A new position minus the one extrapolated from the last, NED, metres; None if it is small enough for noise."""
     dt_s = measured_t_s - state.position_t_s
     if not 0.0 <= dt_s <= JUMP_GAP_S:
         return None

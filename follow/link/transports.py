@@ -36,7 +36,7 @@ SILENT_S = 0.5  # a TCP peer that sent nothing for this long may not be reading 
 HEARTBEAT = bytes(3)  # the message number in a MAVLink 2 packet
 ACKNOWLEDGED_S = 0.5  # TCP_USER_TIMEOUT
 READ_BYTES = 4096
-DATAGRAM_BYTES = 2048  # what carries MAVLink fits into an Ethernet frame; the rest of a longer one is discarded
+DATAGRAM_BYTES = 2048  # a datagram with MAVLink fits into an Ethernet frame; the rest of a longer one is discarded
 LAST_PORT = 65535
 
 
@@ -59,7 +59,7 @@ def reach_of(host: str) -> Reach:
 
 
 class Transport(Protocol):
-    """Carries bytes both ways.  `datagrams`: each read returns whole packets."""
+    """Carries bytes in both directions.  `datagrams`: each read returns whole packets."""
 
     datagrams: bool
 
@@ -148,11 +148,11 @@ class UdpTransport:
         return True
 
     def answer_to(self, source: Source) -> None:
-        """The caller chooses the peer, so that a stray sender cannot become it."""
+        """Set the peer: the caller chooses it, so that a stray sender cannot become the peer."""
         self._peer = source
 
     def reach(self) -> Reach:
-        """By the peer's address once there is one, else by the address that it listens at."""
+        """Decided by the peer's address once there is one, else by the address that the socket listens at."""
         return reach_of(self._peer[0] if self._peer is not None else self._host)
 
     def close(self) -> None:
@@ -163,9 +163,9 @@ class UdpTransport:
 class _StreamTransport(ABC):
     """Shared by TCP and serial lines: a file descriptor that is reopened after it was lost.
 
-    What waits in its send buffer for more than UNSENT_S is discarded: no old setpoint and no old request for a mode is
-    delivered when the line moves again.  Only the reading thread opens and loses the file; a lock keeps the writing
-    thread from a descriptor that was closed and may by then be another file's.
+    Bytes older than UNSENT_S in its send buffer are discarded, so that no old setpoint and no old mode request is
+    delivered when the line recovers.  Only the reading thread opens and closes the file; a lock keeps the writing
+    thread off a closed descriptor, which by then may be another file's.
     """
 
     datagrams = False
@@ -187,7 +187,7 @@ class _StreamTransport(ABC):
 
     @abstractmethod
     def _discard(self, file: int) -> None:
-        """Discard what waits in the send buffer; the lock is held."""
+        """Discard the send buffer; the caller holds the lock."""
         ...
 
     def read(self, timeout_s: float) -> tuple[bytes, Source]:
@@ -212,9 +212,9 @@ class _StreamTransport(ABC):
         return data, None
 
     def write(self, packet: bytes) -> bool:
-        """A packet that does not fit into the buffer is truncated; the receiver's checksum discards it.
+        """Write one packet.  A full buffer truncates it, and the receiver's checksum then discards it.
 
-        Behind bytes that are late already, nothing is written.
+        Nothing is written behind bytes that are already late.
         """
         with self._lock:
             if self._file is None or self._is_late(self._file):
@@ -227,10 +227,10 @@ class _StreamTransport(ABC):
             return count == len(packet)
 
     def answer_to(self, source: Source) -> None:  # noqa: B027 (nothing to do)
-        """Nothing: there is only one peer."""
+        """Do nothing: there is only one peer."""
 
     def close(self) -> None:
-        """Close the file; what is late in its send buffer is discarded."""
+        """Close the file; late bytes in its send buffer are discarded."""
         with self._lock:
             if self._file is not None and self._is_late(self._file):
                 self._discard(self._file)
@@ -257,9 +257,9 @@ class _StreamTransport(ABC):
 class TcpTransport(_StreamTransport):
     """A TCP connection to a listening peer.
 
-    Late bytes can only be discarded with their connection: it is reset, and made again as after a loss.  Where the
-    peer's own system has accepted bytes that its program does not read, nobody can call them back: so nothing except
-    our HEARTBEAT is written to a peer that has been silent for SILENT_S.
+    Late bytes can only be discarded with their connection: it is reset, and opened again as after a loss.  Bytes that
+    the peer's system has accepted but its program does not read cannot be discarded at all, so only our HEARTBEAT is
+    written to a peer that has been silent for SILENT_S.
     """
 
     def __init__(self, host: str, port: int):
@@ -268,7 +268,7 @@ class TcpTransport(_StreamTransport):
         super().__init__()
 
     def reach(self) -> Reach:
-        """By the peer's address."""
+        """Decided by the peer's address."""
         return reach_of(self._address[0])
 
     def read(self, timeout_s: float) -> tuple[bytes, Source]:
@@ -279,19 +279,17 @@ class TcpTransport(_StreamTransport):
         return data, source
 
     def write(self, packet: bytes) -> bool:
-        """Send one packet, unless the peer is silent or takes nothing."""
+        """Send one packet, unless the peer is silent or does not read."""
         is_silent = time.monotonic() - self._heard_t_s > SILENT_S
         return (not is_silent or packet[7:10] == HEARTBEAT) and super().write(packet)
 
     def _open(self) -> int:
         connection = socket.create_connection(self._address, timeout=CONNECT_TIMEOUT_S)
-        connection.setsockopt(
-            socket.IPPROTO_TCP, socket.TCP_NODELAY, 1
-        )  # do not wait to merge setpoints into one segment
-        if sys.platform == "linux":  # the system's own limit, which acts also while this program is stopped
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # send each setpoint at once, unmerged
+        if sys.platform == "linux":  # the system's own timeout also acts while this program is stopped
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, round(ACKNOWLEDGED_S * 1e3))
         connection.setblocking(False)
-        self._heard_t_s = time.monotonic()  # it took the connection
+        self._heard_t_s = time.monotonic()  # accepting the connection counts as a sign of life
         return connection.detach()
 
     def _discard(self, file: int) -> None:
@@ -315,7 +313,7 @@ class SerialTransport(_StreamTransport):
         super().__init__()
 
     def reach(self) -> Reach:
-        """The other end of the cable or radio."""
+        """Always SERIAL: whoever is at the other end of the cable or radio."""
         return Reach.SERIAL
 
     def _discard(self, file: int) -> None:
@@ -340,7 +338,7 @@ class SerialTransport(_StreamTransport):
 
 
 def lock(line: int) -> None:
-    """Lock a serial line as pyserial's `exclusive` does (flock), and bar others from opening it (TIOCEXCL).
+    """Lock a serial line as pyserial's `exclusive` does (flock), and keep others from opening it (TIOCEXCL).
 
     Raises OSError if another program has it.
     """
