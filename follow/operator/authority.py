@@ -1,7 +1,7 @@
-"""The operator's authority: who may order FOLLOW, and what takes it back.
+"""The operator's authority: who may order FOLLOW, and what revokes it.
 
-An order comes only from the command line, a key, SIGUSR1 or a switch on the remote control.  It is taken back by the
-same, by a stick that moves, or by another sender that steers the same vehicle; each of these discards waiting orders.
+An order comes from the command line, a key, SIGUSR1, a switch on the remote control or a console.  The same revoke it,
+and so do a moved stick and another sender that steers the same vehicle; each of these discards waiting orders.
 """
 
 import contextlib
@@ -28,22 +28,22 @@ from follow.selection import AS_SET, Wanted
 SWITCH_ON_US = 1700  # PWM above which a switch is on; between the two it keeps its state
 SWITCH_OFF_US = 1300
 RECENT_S = 2.0  # timeout of messages from the remote control and from other senders
-EDGE_S = 0.3  # a switch must keep its new position for this long: one wrong sample is not an order
+EDGE_S = 0.3  # debounce: a switch must keep its new position for this long, because one sample may be wrong
 
 STICKLESS = ("HOLD", "BRAKE", "GUIDED")
-"""The modes in which a stick asks for the pilot's: requested as a stream ends, or left there by a cut link."""
+"""Modes in which no stick acts, so a moved stick requests the pilot's: they remain after a stream or a lost link."""
 
 KEYS = {"f": Order.FOLLOW, "o": Order.OBSERVE, " ": Order.OBSERVE}
 """Keys in the terminal; `q` ends the flight, `h` and `?` list the keys."""
 
 ESCAPES = re.compile(r"\x1b(?:\[[0-?]*[ -/]*[@-~]|O.|.)?")
-"""What a terminal sends for a key without a letter: End is ESC [ F, and must not be taken for the key f."""
+"""The escape sequences of keys without a letter: End sends ESC [ F, which must not count as the key f."""
 
 KEYS_HELP = "keys: f follow, o or space observe (give the vehicle back), q leave, h this list"
 
 
 class RemoteObservations(Protocol):
-    """What the operator's side reads from the link; `follow.link.telemetry.LinkObservations` has it."""
+    """The link's observations that the operator's side reads; `follow.link.telemetry.LinkObservations` has them."""
 
     rc_channels: tuple[int, ...]
     rc_t_s: float
@@ -61,7 +61,7 @@ class Remote:
     sticks: StickWatch = field(default_factory=StickWatch)
 
     def forget(self) -> None:
-        """The remote control was lost: where its switch stands afterwards is not an order."""
+        """Forget the positions after a loss of the remote control: the switch's next position is not an order."""
         self.was_on, self.turning, self.sticks.off_rest = None, None, 0
 
     def switched(self, channels: tuple[int, ...], t_s: float) -> Order | None:
@@ -88,7 +88,7 @@ class Operator:
     """Called by the loop once a round for an instruction.  `see` takes each tick.
 
     `at_once` orders FOLLOW when the gate is first READY, once.  `red` lists the failed checks that forbid FOLLOW.
-    Without `watches_sticks`, in a dry run, moved sticks end nothing: the pilot flies by them.
+    Without `watches_sticks`, in a dry run, moved sticks revoke nothing, because the pilot flies with them.
     """
 
     report: Notify
@@ -101,7 +101,7 @@ class Operator:
     retargeted: bool = False
     wanted: Callable[[], Wanted] = lambda: AS_SET  # how a person wants the vehicle to fly now
     watches_sticks: bool = True
-    leaving: str = ""  # why the program must end; empty: it must not
+    leaving: str = ""  # why the program must end; empty: it goes on
     mode: Mode = Mode.OBSERVE
     reason: Reason | None = None
     ordered: bool = False  # whether FOLLOW was ordered in this round
@@ -125,7 +125,7 @@ class Operator:
         return replace(instruction, aimed=True)
 
     def retarget(self) -> None:
-        """The tracker has another target: in this round the estimate forgets the old one."""
+        """Note that the tracker has another target: in this round the estimate forgets the old one."""
         self.retargeted = True
 
     def instruction(self) -> Instruction:
@@ -154,13 +154,13 @@ class Operator:
         if self.state.mode and tick.state.mode != self.state.mode:
             self.waiting.clear()
         if self.ordered and decision.reason == self.reason and decision.reason.cause is Cause.ORDER_REFUSED:
-            self.report(f"again: {self.reason}")  # the same words are no news to `changes`, but the order is
+            self.report(f"again: {self.reason}")  # `changes` does not repeat the same reason, but the order is new
         self.ordered = False
         self.mode, self.state, self.reason = decision.mode, tick.state, decision.reason
         self.changes.see(tick)
 
     def order(self, order: Order, by: str = "the program") -> None:
-        """Queue an order; the next round gives it.  OBSERVE goes before what waits, and voids it."""
+        """Queue an order for the next round.  OBSERVE voids the orders that wait."""
         if order is Order.OBSERVE:
             self.waiting.clear()
         self.waiting.append((order, by))
@@ -172,7 +172,7 @@ class Operator:
         self.leaving = why
 
     def asked(self) -> tuple[Order, str] | None:
-        """The order from the switch, the command line, a key or a signal, and where it comes from."""
+        """The order from the switch, the command line, a key, a signal or a console, and its source."""
         if self.hears_remote() and self.heard is not None:
             order = self.remote.switched(self.heard.rc_channels, self.heard.rc_t_s)
             if order is not None:
@@ -190,9 +190,9 @@ class Operator:
         return True
 
     def taken_back(self) -> Reason | None:
-        """Why the vehicle must be given back: a stick moved, or another sender steers while we stream.
+        """Why control must be revoked: a stick moved, or another sender steers while we stream.
 
-        Sticks also count after the stream has ended in a mode in which they do not act.
+        Sticks also count after the stream has ended, while the vehicle is in a mode in which they do not act.
         """
         streaming = self.mode in STREAMING
         if self.heard is None:
@@ -207,7 +207,7 @@ class Operator:
         return Reason(Cause.OTHER_SENDER, "; ".join(others)) if streaming and others else None
 
     def stick(self, heard: RemoteObservations, watching: bool, healthy: bool) -> Reason | None:
-        """The reason of a moved stick: of the remote control, or of a ground station."""
+        """The reason for a moved stick, of the remote control or of a ground station; None if none moved."""
         remote = self.remote.sticks
         if remote.moved(heard.rc_channels if healthy else (), watching, heard.rc_t_s):
             return Reason(Cause.STICK_JUMPED if remote.has_jumped else Cause.STICK)
@@ -265,7 +265,7 @@ class Keys:
 
     def __enter__(self) -> Self:
         if self._file is not None:
-            tty.setcbreak(self._file, termios.TCSANOW)  # the others wait for a terminal stopped by Ctrl-S
+            tty.setcbreak(self._file, termios.TCSANOW)  # other options block on a terminal stopped by Ctrl-S
         return self
 
     def __exit__(self, *_error: object) -> None:
@@ -288,7 +288,7 @@ class Keys:
                 operator.report(f"{name_of(key)} orders nothing; {KEYS_HELP}")
 
     def refuse_early(self, report: Notify) -> None:
-        """Refuse in words the keys typed before there is a flight to order.  Raises KeyboardInterrupt for `q`."""
+        """Refuse the keys typed before the flight begins, with a message.  Raises KeyboardInterrupt for `q`."""
         for key in dict.fromkeys(self.typed()):
             if key == "q":
                 report(f"leaving: {name_of(key)}")

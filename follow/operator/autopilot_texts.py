@@ -1,7 +1,7 @@
 """The autopilot's own STATUSTEXTs, as lines for the operator and in the recording.
 
-A text longer than 50 letters comes in chunks with one id; it is told whole.  A text that the autopilot repeats is told
-again after REPEAT_S at the earliest.
+A text longer than 50 letters arrives in chunks with one id and is reported whole.  A repeated text is reported again
+after REPEAT_S at the earliest.
 """
 
 from dataclasses import dataclass, field
@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import common as dialect
 from follow.link.packets import Message
 from follow.messages import NEVER, Notify
 
-REPEAT_S = 10.0  # ArduPilot repeats its PreArm reasons every 30 s, a failsafe's words every second
+REPEAT_S = 10.0  # ArduPilot repeats its PreArm reasons every 30 s, a failsafe's text every second
 CHUNK_LETTERS = 50  # a shorter chunk is the last
 MOST_LETTERS = 250  # PX4's longest text
 AUTOPILOT = dialect.MAV_COMP_ID_AUTOPILOT1

@@ -1,6 +1,6 @@
-"""Lines for a person, written by a thread of their own: the control loop never waits for a terminal.
+"""Writes lines for a person in a thread of its own, so that the control loop never waits for a terminal.
 
-A terminal stopped by Ctrl-S, or a pipe that nobody reads, blocks a write for as long as it likes.
+A terminal stopped by Ctrl-S, or a pipe that nobody reads, may block a write without end.
 """
 
 import os
@@ -10,17 +10,17 @@ from collections import deque
 from queue import SimpleQueue
 
 LINES = 200
-"""Maximum number of waiting lines; beyond it the oldest is dropped, because the newest says what happens now."""
+"""Maximum number of waiting lines; beyond it the oldest is dropped, because the newest is the most useful."""
 
 FLUSH_S = 0.5
 """Maximum wait for the waiting lines to be written before the program ends."""
 
 
 class BackgroundWriter:
-    """Writes lines to a file descriptor, in the order in which they came.
+    """Writes lines to a file descriptor, in their order.
 
-    It writes to the descriptor itself: Python's own file would keep a lock for as long as a write is blocked, and the
-    interpreter cannot end without it.
+    It writes to the descriptor itself, because Python's own file object would hold a lock while a write is blocked, and
+    the interpreter cannot exit without that lock.
     """
 
     def __init__(self, descriptor: int) -> None:
@@ -59,7 +59,7 @@ class BackgroundWriter:
                 waiting.set()
 
     def _write(self, data: bytes) -> None:
-        """Write everything, however long it takes; nothing from the moment the terminal is closed."""
+        """Write everything, however long it takes; nothing once the terminal is closed."""
         while data and not self._closed:
             try:
                 data = data[os.write(self._descriptor, data) :]

@@ -1,12 +1,12 @@
-"""Many consoles, one commander: who may order, what an order means now, and what each console is shown.
+"""Many consoles, one commander: who may order, what an order means now, and what each console shows.
 
-A console is anything through which a person orders: the page, a ground station.  The keys, the switch and signals of
-the one who stands beside the vehicle go to `Operator` directly and need no command.  Here one console commands at a
-time: the first that orders, until it hands over (`release`) or falls silent; STOP works from all.
+A console is anything through which a person orders: the page, a ground station.  The pilot's keys, switch and signals
+go to `Operator` directly and need no command.  One console commands at a time: the first that orders, until it hands
+over (`release`) or falls silent; STOP works from all.
 
-Track, confirm, follow are three things.  A selected box is tracked and nothing is sent.  FOLLOW flies to a target that
-a person drew a moment ago; any other target is shown first (`Consoles.proposal`) and flown to after CONFIRM.  A target
-that is changed in flight is looked at (spotlight) until FOLLOW is ordered again.
+Track, confirm and follow are separate.  A selected box is tracked and nothing is sent.  FOLLOW flies to a target that
+a person drew a moment ago; any other target is proposed first (`Consoles.proposal`) and flown to after CONFIRM.  After
+a change of target in flight the vehicle only turns to the new one (spotlight) until FOLLOW is ordered again.
 """
 
 import math
@@ -32,17 +32,15 @@ from follow.selection import (
 )
 
 SPOTLIGHT = "spotlight"
-DRAWN_S = 10.0  # a box drawn within this time is what the person means; an older one is confirmed
-CONFIRM_S = 15.0  # CONFIRM answers a proposal that is not older
-SELECT_EVERY_S = 0.3  # a flood of selections must not keep the tracker from its work
-UNSEEN_S = 1.0  # a target that was not seen for longer is proposed with that word
-SILENT_S = 10.0  # a commander that was not heard for this long no longer commands
-STANDOFF_STEP, STANDOFF_RANGE = 1.15, (0.5, 2.5)  # factor of one press, and the least and the greatest of all
-RAISE_STEP_RAD, RAISE_RANGE = (
-    math.radians(3.0),
-    (-math.radians(9.0), math.radians(9.0)),
-)  # a third of a wide view's half
-AROUND_M_S, AROUND_STEP_S = 1.5, 2.0  # one press moves it 3 m to the side
+DRAWN_S = 10.0  # FOLLOW needs no CONFIRM for a box drawn within this time
+CONFIRM_S = 15.0  # timeout of a proposal
+SELECT_EVERY_S = 0.3  # rate limit: a flood of selections must not keep the tracker from its work
+UNSEEN_S = 1.0  # the proposal mentions that a target was not seen for longer than this
+SILENT_S = 10.0  # timeout of a silent commander
+STANDOFF_STEP, STANDOFF_RANGE = 1.15, (0.5, 2.5)  # factor of one press, and the range of all of them together
+RAISE_STEP_RAD = math.radians(3.0)
+RAISE_RANGE = (-math.radians(9.0), math.radians(9.0))  # a third of half a wide view
+AROUND_M_S, AROUND_STEP_S = 1.5, 2.0  # one press moves the vehicle 3 m to the side
 
 
 class ConsoleCommand(str, Enum):
@@ -78,14 +76,14 @@ ASIDE = (ConsoleCommand.LEFT, ConsoleCommand.RIGHT)
 
 
 PILOTS = (ConsoleCommand.FOLLOW, ConsoleCommand.CONFIRM, ConsoleCommand.SPOTLIGHT, ConsoleCommand.HOLD)
-"""Orders whose refusal the pilot is told also, wherever they came from."""
+"""Orders whose refusal is also sent to the pilot, whichever console gave them."""
 
 NOTHING = TrackingStatus(TrackingState.IDLE, None, NEVER)
 
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """What became of an order: done or not, and why or what comes next."""
+    """The result of an order: done or not, and why, or what to do next."""
 
     done: bool
     words: str
@@ -95,9 +93,9 @@ class Reply:
 class Consoles:
     """The consoles' side of the operator, called in the loop's thread only.
 
-    `select` takes a choice to the tracker; `is_looking` says whether the box of a tap is still looked for: `decided` is
-    told what was found, and `answer` the console.  `standoff_m` is the stand-off that is set, `nearest` the least to
-    which it can be trimmed, `kept` what the servo keeps.
+    `select` passes a choice to the tracker; while `is_looking` the search for a tap's box is running.  `decided` gets
+    its result, and `answer` replies to the console.  `standoff_m` is the configured stand-off, `nearest` the least to
+    which it can be trimmed, `kept` the one that the servo keeps.
     """
 
     operator: Operator
@@ -110,8 +108,8 @@ class Consoles:
     is_looking: Callable[[], bool] = lambda: False
     answer: Callable[[str, Reply], object] = lambda _console, _reply: None
     tapped_by: str = ""
-    tap_flies: bool = False  # whether the box of the tap that is looked for orders FOLLOW by itself
-    asked: bool = False  # whether FOLLOW was ordered, by whomever, and neither taken back nor flown to its end
+    tap_flies: bool = False  # whether the box of the present tap orders FOLLOW by itself
+    asked: bool = False  # whether FOLLOW was ordered, by anybody, and neither revoked nor flown to its end
     commander: str = ""
     wanted: Wanted = AS_SET
     heard_t_s: dict[str, float] = field(default_factory=dict[str, float])
@@ -119,7 +117,7 @@ class Consoles:
     drawn_t_s: float = NEVER
     proposed_t_s: float = NEVER
     around_until_s: float = NEVER
-    flown_mode: str = ""  # the servo mode that FOLLOW flies; empty: the one that is set
+    flown_mode: str = ""  # the servo mode that FOLLOW flies; empty: the configured one
     set_mode: str = ConsoleCommand.CHASE.value
     status: TrackingStatus = NOTHING  # what every console shows of the tracker
     tick: Tick | None = None
@@ -135,7 +133,7 @@ class Consoles:
         return Mode.OBSERVE if self.tick is None else self.tick.decision.mode
 
     def see(self, tick: Tick) -> None:
-        """Take one round; a flight that ended keeps no trim, and what was asked before a stop is void."""
+        """Take one round; the end of a flight resets the trims, and a stop voids earlier orders."""
         was_streaming, vehicle = self.mode in STREAMING, self.tick.state.mode if self.tick is not None else ""
         self.tick, self.status = tick, shown(tick, self.status)
         is_streaming, ordered = self.mode in STREAMING, tick.instruction.order
@@ -151,21 +149,21 @@ class Consoles:
             self.wanted = AS_SET
 
     def _voids(self) -> None:
-        """The vehicle was stopped or taken back: what was asked before must not act after it."""
+        """Void all pending orders after a stop or a take-over: they must not act later."""
         self.asked = self.tap_flies = False
         self.proposed_t_s = NEVER
 
     def hears(self, console: str) -> None:
-        """A console showed that a person is there."""
+        """Note a sign of life of a console."""
         self.heard_t_s[console] = self.t_s
 
     def leaves(self, console: str) -> None:
-        """A console has gone."""
+        """Forget a console that has gone."""
         self.heard_t_s.pop(console, None)
         self.release(console)
 
     def release(self, console: str) -> Reply:
-        """Hand the command over: the next console that orders commands."""
+        """Hand over the command: the next console that orders takes it."""
         if self.commander != console:
             return Reply(False, "you do not command")
         self.commander = ""
@@ -179,7 +177,7 @@ class Consoles:
         return self.commander if is_there else ""
 
     def why_not(self, console: str) -> str:
-        """Why this console may not order, empty if it may; it commands from now on if nobody does."""
+        """Why this console may not order, empty if it may; it takes the command if nobody has it."""
         self.hears(console)
         holder = self.commander
         if self.present_commander not in ("", console):
@@ -190,9 +188,9 @@ class Consoles:
         return ""
 
     def choose(self, choice: Choice, *, flies: bool = False) -> str:
-        """Take a selection or a stop from a console; returns why it is refused, empty if it is taken.
+        """Take a selection or a stop from a console; returns why it is refused, or "" if it is accepted.
 
-        `flies`: the selection orders FOLLOW also.
+        `flies`: the selection also orders FOLLOW.
         """
         if not isinstance(choice, Selection):
             self.order(ConsoleCommand.STOP, choice.by)
@@ -206,7 +204,7 @@ class Consoles:
         if why := self.select(choice):
             self.report(f"selection by {choice.by} refused: {why}")
             return why
-        self.drawn_t_s, self.proposed_t_s = NEVER, NEVER  # of the target before
+        self.drawn_t_s, self.proposed_t_s = NEVER, NEVER  # they belong to the previous target
         if self.is_looking():
             self.tapped_by, self.tap_flies = choice.by, flies
         else:
@@ -214,7 +212,7 @@ class Consoles:
         return ""
 
     def decided(self, why: str) -> None:
-        """A tap was looked at: `why` it selects nothing, and the target before stays; empty if its box is taken."""
+        """Take the result of a tap: `why` it selects nothing, so that the old target stays; empty for a new target."""
         by, self.tapped_by = self.tapped_by, ""
         if why:
             self.report(f"selection by {by} refused: {why}")
@@ -224,9 +222,9 @@ class Consoles:
         self.answer(by, Reply(not why, f"not selected: {why}" if why else "target selected"))
 
     def _has_selected(self, by: str, *, flies: bool) -> None:
-        """A person's box is the tracker's new target; `flies`: it orders FOLLOW by itself.
+        """Note that a person's box is the tracker's new target; `flies`: it orders FOLLOW by itself.
 
-        FOLLOW that was ordered for the target before and still waits is void: it must not fly to the new one.
+        A pending FOLLOW for the previous target is void: it must not fly to the new one.
         """
         self.drawn_t_s, self.proposed_t_s = self.t_s, NEVER
         self.report(f"target selected by {by}")
@@ -242,7 +240,7 @@ class Consoles:
             self.tell("new target: order FOLLOW again")
 
     def order(self, command: ConsoleCommand, by: str) -> Reply:
-        """Give an order of a console; the reply says what became of it."""
+        """Give an order of a console; returns its result."""
         reply = self._order(command, by)
         self.report(f"{by}: {command.value}: {reply.words}")
         if command is ConsoleCommand.CONFIRM and reply.done:
@@ -312,7 +310,7 @@ class Consoles:
         return Reply(True, self.trimmed())
 
     def why_untrimmed(self, command: ConsoleCommand) -> str:
-        """Why a trim would change nothing now, or not what it is named for; empty if it acts."""
+        """Why a trim would have no effect now, or another one than its name says; empty if it acts."""
         mode = self.wanted.mode or self.set_mode
         if self.mode not in FLYING or mode in (SPOTLIGHT, HOVER_HERE):
             return "trims act while it follows"
@@ -324,15 +322,15 @@ class Consoles:
 
     @property
     def least_factor(self) -> float:
-        """The least factor of the stand-off: STANDOFF_RANGE's, or that of the nearest one that is kept."""
+        """The least factor of the stand-off: by STANDOFF_RANGE, or by `nearest`."""
         return max(STANDOFF_RANGE[0], min(1.0, self.nearest.standoff_m / self.standoff_m))
 
     def possible(self, factor: float) -> float:
-        """The factor of the stand-off within what can be trimmed to."""
+        """The factor of the stand-off, clipped to the range of trims."""
         return min(max(factor, self.least_factor), STANDOFF_RANGE[1])
 
     def trimmed(self) -> str:
-        """What the trims have made of the wanted geometry, and why it comes no nearer."""
+        """The geometry after the trims, and why the vehicle comes no nearer."""
         w = self.wanted
         least = (
             f" (the least: {self.nearest.why})" if STANDOFF_RANGE[0] < self.least_factor == w.standoff_factor else ""
@@ -353,7 +351,7 @@ class Consoles:
 
 
 def shown(tick: Tick, before: TrackingStatus) -> TrackingStatus:
-    """What the consoles show after one round; `before` is what they showed."""
+    """The status to show after one round; `before` is the previous one."""
     if tick.frame is None:
         return before
     track = tick.track

@@ -1,8 +1,8 @@
-"""Ground stations: behind the autopilot on its link, or talking to us directly.
+"""Ground stations: behind the autopilot on its link, or connected to us directly.
 
-Called in the loop's thread; nothing here waits.  A flood delays neither a setpoint nor anybody's STOP: in a round at
-most READ datagrams are read from the direct side, at most HEEDED of them and of their messages are heeded, every
-sender's newest first.
+Called in the loop's thread; nothing here waits.  A flood delays neither a setpoint nor anybody's STOP: each round reads
+at most READ datagrams from the direct side and processes at most HEEDED of them and of their messages, the newest of
+each sender.
 """
 
 from collections import deque
@@ -24,9 +24,9 @@ ArrivedT = TypeVar("ArrivedT")
 
 READ = 300  # a few microseconds each; 9000 a second
 HEEDED = 20  # each costs some 50 microseconds to decode and to answer
-OTHERS = 5  # of those HEEDED, for who was not heard before: a flood of a known station must not keep a new one's STOP
-STATIONS = 4  # ground stations that are answered directly at a time: the first, as long as they are heard
-HEARD_S = 10.0
+OTHERS = 5  # of HEEDED, reserved for new senders: a flood of a known station must not block a new one's STOP
+STATIONS = 4  # ground stations that get answers at a time: the first ones, until they fall silent
+HEARD_S = 10.0  # timeout of a silent ground station
 
 
 class CarriesPackets(Protocol):
@@ -38,9 +38,9 @@ class CarriesPackets(Protocol):
 
 
 class LoneVehicle:
-    """A vehicle that no autopilot speaks for, as of `follow sim`: its heartbeat, and the pilot's texts and figures.
+    """Stands in for a vehicle without an autopilot, as in `follow sim`: its heartbeat, the pilot's texts and figures.
 
-    A ground station needs a vehicle to show its camera.  This one answers nothing and has no parameters.
+    A ground station shows a camera only with its vehicle.  This one answers nothing and has no parameters.
     """
 
     def __init__(self, system_id: int = 1) -> None:
@@ -50,7 +50,7 @@ class LoneVehicle:
         self._out: list[bytes] = []
 
     def write(self, packets: list[bytes]) -> None:
-        """Nobody is behind it."""
+        """Do nothing: there is no autopilot."""
 
     def tell(self, text: str, severity: int) -> None:
         """Queue a STATUSTEXT for the pilot."""
@@ -64,7 +64,7 @@ class LoneVehicle:
         self._out.append(self._texts.write(message))
 
     def take(self, state: VehicleState) -> list[bytes]:
-        """What it says in this round."""
+        """The packets to send in this round."""
         if state.t_s - self._beat_t_s >= HEARTBEAT_EVERY_S:
             self._beat_t_s = state.t_s
             armed = dialect.MAV_MODE_FLAG_SAFETY_ARMED if state.armed else 0
@@ -76,9 +76,9 @@ class LoneVehicle:
 
 
 def heeded(arrived: list[tuple[Source, ArrivedT]], known: Collection[Source]) -> list[tuple[Source, ArrivedT]]:
-    """What of all that has arrived is heeded, in its order: of each sender as many as of the others, the newest.
+    """The arrivals to process, in their order: equally many of each sender, the newest ones.
 
-    `known` senders come before others: strangers by the hundred must not displace them.
+    `known` senders have priority: hundreds of strangers must not displace them.
     """
     if len(arrived) <= HEEDED:
         return arrived
@@ -96,7 +96,7 @@ def heeded(arrived: list[tuple[Source, ArrivedT]], known: Collection[Source]) ->
 
 
 class DirectSide:
-    """Ground stations that talk to us without the autopilot between."""
+    """Ground stations connected to us directly, without the autopilot in between."""
 
     def __init__(self, transport: Transport, signing: Signing | None = None) -> None:
         self._transport = transport
@@ -104,7 +104,7 @@ class DirectSide:
         self._heard_t_s: dict[Source, float] = {}
 
     def receive(self, t_s: float) -> list[Message]:
-        """The messages that came since the last round."""
+        """The messages that arrived since the last round."""
         heard: list[tuple[Source, Message]] = []
         self._heard_t_s = {source: at for source, at in self._heard_t_s.items() if t_s - at < HEARD_S}
         for source, data in self._waiting():
@@ -115,16 +115,15 @@ class DirectSide:
         return [message for _, message in heeded(heard, self._heard_t_s)]  # a datagram may hold many
 
     def _waiting(self) -> list[tuple[Source, bytes]]:
-        """What to read in this round, in the order of arrival: of each sender as many as of the others, the newest."""
+        """The datagrams to decode in this round, chosen by `heeded`."""
         arrived: list[tuple[Source, bytes]] = []
         while len(arrived) < READ:
             data, source = self._transport.read(0.0)
             if not data:
                 break
             arrived.append((source, data))
-        return (
-            heeded(arrived, self._heard_t_s) if self._transport.datagrams else arrived
-        )  # a stream has one sender and no gaps
+        # A stream has one sender, and a gap would break its packets.
+        return heeded(arrived, self._heard_t_s) if self._transport.datagrams else arrived
 
     @property
     def hosts(self) -> tuple[str, ...]:
@@ -144,10 +143,10 @@ class DirectSide:
 
 
 class GroundSide:
-    """The camera that ground stations point in, and what the pilot is told; `see` takes each tick.
+    """The camera in which ground stations select targets, and the pilot's texts; `see` takes each tick.
 
-    `heard` is called with the addresses of the stations that are heard directly, each round; `lone` is the vehicle
-    where no autopilot speaks for it.
+    `heard` gets the addresses of the directly connected stations each round; `lone` stands in for the vehicle if there
+    is no autopilot.
     """
 
     def __init__(
@@ -162,7 +161,9 @@ class GroundSide:
     ) -> None:
         self._link, self._camera, self._consoles, self._texts, self._direct = link, camera, consoles, texts, direct
         self._heard, self._lone = heard, lone
-        self._waiting: deque[tuple[Message, float]] = deque(maxlen=HEEDED)  # the newest count: STOP follows a flood
+        self._waiting: deque[tuple[Message, float]] = deque(
+            maxlen=HEEDED
+        )  # drops the oldest, so that a STOP after a flood survives
 
     def hear(self, message: Message, t_s: float) -> None:
         """Take a message of the autopilot's link; it is answered in the next round."""

@@ -1,9 +1,9 @@
-"""The camera that a ground station finds, shows and points in: a MAVLink component beside ours, without I/O.
+"""The camera that a ground station finds, shows and selects targets in: a second MAVLink component, without I/O.
 
-Feed it with `hear` and `step`, and send what `take` returns.  It follows the MAVLink camera protocol as QGroundControl
-4.4 to 5.0 and MAVSDK's Camera speak it: discovery by REQUEST_MESSAGE and by the older commands; CAMERA_TRACK_POINT,
+Feed it with `hear` and `step`, and send the packets that `take` returns.  It implements the MAVLink camera protocol as
+QGroundControl 4.4 to 5.0 and MAVSDK use it: discovery by REQUEST_MESSAGE and older commands; CAMERA_TRACK_POINT,
 CAMERA_TRACK_RECTANGLE and CAMERA_STOP_TRACKING; CAMERA_TRACKING_IMAGE_STATUS ten times a second while a box is tracked.
-Every command that names this component is acknowledged to its sender, who may sit behind the autopilot.
+Every command to this component is acknowledged to its sender, who may be behind the autopilot.
 """
 
 import logging
@@ -22,9 +22,9 @@ log = logging.getLogger(__name__)
 
 CAMERA = dialect.MAV_COMP_ID_CAMERA  # 100: ground stations look for cameras at 100 to 105
 HEARTBEAT_EVERY_S = 1.0  # a ground station drops a camera after 5 s of silence
-STATUS_EVERY_S = 0.1  # QGroundControl before August 2025 does not ask for it
+STATUS_EVERY_S = 0.1  # sent unasked: QGroundControl before August 2025 does not request it
 REPEAT_S = 3.0  # a sender repeats a command when its acknowledgement is lost
-STALE_S = 1.0  # nobody can point at an image older than this
+STALE_S = 1.0  # selections in an image older than this are rejected
 SMALLEST = 0.004  # of the image's side: 2.5 pixels of 640
 TEXT_EVERY_S = 1.0  # between two texts with the same words
 TEXT_LENGTH = 50  # of STATUSTEXT
@@ -47,7 +47,7 @@ OLD_REQUESTS = {
 
 @dataclass(frozen=True, slots=True)
 class StreamDescription:
-    """The video stream that the ground station is told of; `uri` is a bare port for RTP over UDP."""
+    """The video stream announced to the ground station; `uri` is a bare port for RTP over UDP."""
 
     uri: str = "5600"
     is_rtp: bool = True
@@ -59,17 +59,17 @@ class StreamDescription:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """The result of a command, and in words why it was refused."""
+    """The result of a command, and the text why it was refused."""
 
     result: int
     why: str = ""
 
 
 class GroundCamera:
-    """One camera component, for every ground station that is heard.
+    """One camera component, for all ground stations.
 
-    `choose` is called with each selection or stop as it is accepted, and may return why it refuses.  `delay_s` is how
-    old the image is that a person sees when the command arrives.
+    `choose` gets each valid selection or stop, and returns why it refuses it, or "".  `delay_s` is the age of the image
+    that a person sees when the command arrives.
     """
 
     def __init__(
@@ -90,13 +90,12 @@ class GroundCamera:
         self._status_every_s = STATUS_EVERY_S
         self._told_state = TrackingState.IDLE
         self._done_t_s: dict[str, float] = {}
-        self._recent: dict[
-            tuple[int, int], tuple[int, tuple[float, ...], float, Answer]
-        ] = {}  # of each sender the last
+        # By sender, its last selection or stop: command, numbers, time and answer.
+        self._recent: dict[tuple[int, int], tuple[int, tuple[float, ...], float, Answer]] = {}
         self._out: list[bytes] = []
 
     def address(self, system_id: int) -> None:
-        """Use the vehicle's system id: a ground station drops a camera of another."""
+        """Use the vehicle's system id: a ground station ignores a camera with another id."""
         self._packets.address = system_id, CAMERA
         self._is_on_line = True
 
@@ -120,7 +119,7 @@ class GroundCamera:
             self._send(tracking_message(status))
 
     def hear(self, message: Message, t_s: float) -> None:
-        """Answer a command that names this component."""
+        """Answer a command to this component."""
         if not self._is_on_line or not isinstance(
             message, dialect.MAVLink_command_long_message | dialect.MAVLink_command_int_message
         ):
@@ -137,21 +136,21 @@ class GroundCamera:
             self.tell(answer.why, t_s)
 
     def tell(self, text: str, t_s: float) -> None:
-        """Say something to the pilot, not twice a second the same."""
+        """Queue a text for the pilot; the same text at most once in TEXT_EVERY_S."""
         if self._is_on_line and self._is_due(f"text {text}", t_s, TEXT_EVERY_S):
             words = text.encode("ascii", "replace")[:TEXT_LENGTH]
             self._send(dialect.MAVLink_statustext_message(dialect.MAV_SEVERITY_WARNING, words))
 
     def _answer_once(self, command: tuple[int, int, int], numbers: tuple[float, ...], t_s: float) -> Answer:
-        """The answer; a repeated selection gets the same one again and selects nothing a second time.
+        """The answer; a retried selection gets the same answer again and is not carried out twice.
 
-        A repeated stop stops again: meanwhile another console may have ordered FOLLOW.
+        A repeated stop stops again, because another console may have ordered FOLLOW meanwhile.
         """
         if command[2] not in (POINT, RECTANGLE, STOP):
             return self._answer(command[2], numbers, t_s, name_of(command))
         if command[2] == POINT:
-            numbers = numbers[:2]  # what is not used may be NaN, which is never the same again
-        last = self._recent.get(command[:2])  # stop, then the same box again, is no repetition
+            numbers = numbers[:2]  # the others are unused and may be NaN, which never compares equal
+        last = self._recent.get(command[:2])  # the same box again after a stop is not a retry
         is_same = last is not None and command[2] != STOP and last[:2] == (command[2], numbers)
         if last is not None and is_same and t_s - last[2] <= REPEAT_S and last[3].result == ACCEPTED:
             return last[3]
@@ -186,7 +185,7 @@ class GroundCamera:
         return refused_or_not(self._choose(Selection(left, top, width, height, frame_t_s, by)))
 
     def _set_interval(self, numbers: tuple[float, ...]) -> Answer:
-        """Obey a request for the tracking status up to its own rate; a slower one would leave the box behind."""
+        """Switch the tracking status on or off.  Its rate stays: at a slower one the box would lag behind."""
         if numbers[0] != dialect.MAVLINK_MSG_ID_CAMERA_TRACKING_IMAGE_STATUS or not math.isfinite(numbers[1]):
             return Answer(UNSUPPORTED)
         self._status_every_s = math.inf if numbers[1] < 0.0 else STATUS_EVERY_S
@@ -199,7 +198,7 @@ class GroundCamera:
             self._send(message)
 
     def _message(self, number: int, t_s: float) -> Message | None:
-        """A message as it is now, None if this camera has none of its kind."""
+        """The present content of a message, None if this camera does not have that message."""
         boot_ms = round(t_s * 1e3) & 0xFFFFFFFF
         nan, size, stream = math.nan, self._size, self._stream
         none_stored = dialect.STORAGE_STATUS_NOT_SUPPORTED, 0.0, 0.0, 0.0, nan, nan
@@ -229,7 +228,7 @@ class GroundCamera:
         if t_s - last_t_s < every_s - 1e-6:
             return False
         self._done_t_s = {old: at for old, at in self._done_t_s.items() if t_s - at < REPEAT_S}
-        on_time = t_s - last_t_s < 2.0 * every_s  # then the rate is kept, whatever the rounds are
+        on_time = t_s - last_t_s < 2.0 * every_s  # then keep the mean rate, whatever the length of the rounds
         self._done_t_s[what] = last_t_s + every_s if on_time else t_s
         return True
 
@@ -250,7 +249,7 @@ def params_of(message: dialect.MAVLink_command_long_message | dialect.MAVLink_co
 
 
 def wanted_message(command: int, numbers: tuple[float, ...]) -> int | None:
-    """The message that a command asks for, None if it asks for none."""
+    """The number of the message that a command requests, None for any other command."""
     if command in OLD_REQUESTS:
         return OLD_REQUESTS[command]
     if command == dialect.MAV_CMD_REQUEST_MESSAGE and math.isfinite(numbers[0]):

@@ -1,4 +1,4 @@
-"""What a person is told of the rounds, the same in a flight, a replay and a simulation."""
+"""Reports changes of the gate's mode to a person, the same in a flight, a replay and a simulation."""
 
 import re
 from dataclasses import dataclass, field
@@ -7,7 +7,7 @@ from follow.messages import NEVER, Cause, Mode, Notify, Order, Reason, Tick
 from follow.safety.modes import FLYING
 from racf.box import tiny_line
 
-SAME_EVERY_S = 10.0  # what hinders FOLLOW, or an order waits for, is repeated no sooner: it and its figures may flicker
+SAME_EVERY_S = 10.0  # least time between two reports of the same hindrance: it and its figures may flicker
 LOOSE = (
     "the box was loose, or beside the target: the tracker started again on what moved in it; look whether that is yours"
 )
@@ -28,7 +28,7 @@ class ModeChanges:
     ended: str = ""  # when following ended last, and why; empty while it follows, or before
     tiny_told: bool = False
     hindered_t_s: dict[str, float] = field(default_factory=dict[str, float])  # when each hindrance was told
-    doubt: str = ""  # who was found after a loss and is not taken, as it was told last
+    doubt: str = ""  # the last report about a rejected candidate
 
     def see(self, tick: Tick) -> None:
         """Take one round."""

@@ -1,7 +1,7 @@
 """Pushes RTP packets to a server by RTSP [RFC 2326]: ANNOUNCE, SETUP, RECORD, then packets in the same connection.
 
-FFmpeg's own pusher is not used, because its Python binding holds the interpreter while it connects: the control loop
-would wait for the server.
+FFmpeg's own RTSP output is not used, because its Python binding holds the interpreter lock while it connects: the
+control loop would wait for the server.
 """
 
 import contextlib
@@ -12,7 +12,7 @@ import time
 from urllib.parse import urlsplit
 
 PORT = 554  # RTSP's own
-TIMEOUT_S = 2.0  # for an answer, and for the network to take a packet
+TIMEOUT_S = 2.0  # for an answer, and for sending a packet
 SDP = (
     "v=0\r\no=- 0 0 IN IP4 0.0.0.0\r\ns=follow\r\nc=IN IP4 0.0.0.0\r\nt=0 0\r\nm=video 0 RTP/AVP 96\r\n"
     "a=rtpmap:96 H264/90000\r\na=fmtp:96 packetization-mode=1\r\na=control:trackID=0\r\n"
@@ -50,7 +50,7 @@ class RtspPush:
         self._socket = connection
 
     def write(self, packet: bytes) -> int:
-        """Send one RTP packet in the connection, and read over what the server says (its RTCP)."""
+        """Send one RTP packet in the connection, and discard what the server sends (its RTCP)."""
         if self._socket is None:
             raise ConnectionError("not connected")
         while select.select([self._socket], [], [], 0.0)[0]:
@@ -60,7 +60,7 @@ class RtspPush:
         return len(packet)
 
     def close(self) -> None:
-        """Close the connection: the server ends the stream."""
+        """Close the connection; the server then ends the stream."""
         if self._socket is not None:
             with contextlib.suppress(OSError):
                 self._socket.close()
@@ -69,7 +69,7 @@ class RtspPush:
     def _ask(
         self, connection: socket.socket, method: str, url: str, head: dict[str, str], body: str = ""
     ) -> dict[str, str]:
-        """Send a request; the header of its answer, names in lower case."""
+        """Send a request; returns the header of its answer, names in lower case."""
         self._count += 1
         head = {"CSeq": str(self._count), **head, **({"Content-Length": str(len(body))} if body else {})}
         lines = "".join(f"{name}: {value}\r\n" for name, value in head.items() if value)
@@ -81,7 +81,7 @@ class RtspPush:
 
 
 def answer_of(connection: socket.socket) -> tuple[int, dict[str, str]]:
-    """Status and header of one answer, the whole within TIMEOUT_S.  Raises OSError for what is no answer."""
+    """Status and header of one answer, complete within TIMEOUT_S.  Raises OSError for an invalid answer."""
     text, end_s = b"", time.monotonic() + TIMEOUT_S
     while not text.endswith(b"\r\n\r\n"):
         byte = received(connection, 1, end_s)
@@ -101,7 +101,7 @@ def answer_of(connection: socket.socket) -> tuple[int, dict[str, str]]:
 
 
 def received(connection: socket.socket, most: int, end_s: float) -> bytes:
-    """The next bytes, at most `most`.  Raises TimeoutError if none come before `end_s` (of the monotonic clock)."""
+    """The next bytes, at most `most`.  Raises TimeoutError if none arrive before `end_s` (of the monotonic clock)."""
     left_s = end_s - time.monotonic()
     if left_s <= 0.0:
         raise TimeoutError("the server's answer has no end")

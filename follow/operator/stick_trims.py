@@ -1,7 +1,7 @@
-"""Sticks that reshape the flight while it follows, by option: to the side, nearer and farther, higher and lower.
+"""An option with which sticks trim the flight while it follows: to the side, nearer and farther, higher and lower.
 
-Only the first part of a stick's travel trims.  Beyond it the stick takes the vehicle over, as without the option, and
-so does every other stick: PX4 itself hands the vehicle over at the same 30 %.
+Only the first part of a stick's travel trims.  Beyond it the pilot takes over, as without the option, and also with any
+other stick: PX4 itself hands the vehicle over at the same 30 %.
 """
 
 from dataclasses import dataclass, replace
@@ -12,10 +12,10 @@ from follow.operator.consoles import AROUND_M_S, RAISE_RANGE, ConsoleCommand, Co
 from follow.operator.sticks import PWM, STICK_US, STICKS
 from follow.safety.modes import STREAMING
 
-REST_US = 40  # 8 % of a stick's travel: no hand holds it stiller
+REST_US = 40  # dead band, 8 % of a stick's travel: no hand holds it stiller
 NEARER_PER_S, RAISE_RAD_S = 0.2, 0.05  # at the end of the part that trims: 2.4 m/s at 12 m, 3 degrees/s
 HOLDS_S = 0.3  # a move to the side ends this long after the last sample of the stick
-LONGEST_S = 0.2  # a pause between two rounds counts as this at most
+LONGEST_S = 0.2  # a longer pause between two rounds counts as this
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +48,7 @@ class StickTrims:
     sticks: TrimSticks
     consoles: Consoles
     heard: RemoteObservations
-    rest: tuple[int, ...] = ()  # where the sticks were as the stream began, as in StickWatch: not after each short loss
+    rest: tuple[int, ...] = ()  # the sticks' position when the stream began, as in StickWatch; kept over a short loss
     t_s: float = NEVER
     is_trimming: bool = False
 
@@ -89,11 +89,11 @@ class StickTrims:
         off = channels[abs(stick) - 1] - self.rest[abs(stick) - 1]
         if not REST_US < abs(off) <= STICK_US:
             return 0.0
-        share = (abs(off) - REST_US) / (STICK_US - REST_US)
-        return share if (off > 0) is (stick > 0) else -share
+        fraction = (abs(off) - REST_US) / (STICK_US - REST_US)
+        return fraction if (off > 0) is (stick > 0) else -fraction
 
     def _tell(self, is_trimming: bool) -> None:
-        """Say once, as the stick comes back to rest, what is wanted now."""
+        """Report the trimmed geometry once, when the stick is back at rest."""
         if self.is_trimming and not is_trimming:
             self.consoles.report(f"sticks: {self.consoles.trimmed()}")
         self.is_trimming = is_trimming

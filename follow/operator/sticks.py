@@ -1,6 +1,6 @@
 """Sticks: a remote control's by RC_CHANNELS, a ground station's by MANUAL_CONTROL or RC_CHANNELS_OVERRIDE.
 
-A stick counts by its movement, as on PX4: it has left the place where it was as the watch began.  Where it rests does
+A stick counts as moved, as on PX4, once it has left the position that it had when the watch began.  That position does
 not matter, so a joystick that nobody touches forbids nothing.
 """
 
@@ -13,21 +13,21 @@ STICKS = 4  # channels 1 to 4, in any order
 PWM = range(800, 2201)  # valid pulses; 0 and 65535 mean that the channel does not exist
 STICK_SAMPLES = 2  # a stick must be off its position in this many samples in a row
 ENDS_US = 1050, 1950  # a receiver's failsafe sets a stick to one of its ends, beyond these
-STAYS_US = 3  # a preset does not move; a hand moves a stick by more than this between two samples
+STAYS_US = 3  # a failsafe's preset stays within this between two samples; a hand moves a stick by more
 
 
 @dataclass(slots=True)
 class StickWatch:
-    """Fed with the channels of each sample; `rest` is where the sticks were as the watch began."""
+    """Fed with the channels of each sample; `rest` is the sticks' position when the watch began."""
 
     rest: tuple[int, ...] | None = None
-    first_off: tuple[int, ...] = ()  # the sample in which a stick was off its position first
+    first_off: tuple[int, ...] = ()  # the first sample with a stick off its position
     off_rest: int = 0  # samples in a row with a stick off its position
-    has_jumped: bool = False  # it went from rest to an end at once and has not moved since
+    has_jumped: bool = False  # a stick went from rest to an end in one sample and has not moved since
     t_s: float = NEVER  # of the last sample
 
     def moved(self, channels: tuple[int, ...], watching: bool, t_s: float) -> bool:
-        """Whether a stick has left its place; a throttle rests at its lower end."""
+        """Whether a stick has left its rest position, which for a throttle may be its lower end."""
         sticks = channels[:STICKS]
         if not watching:
             self.rest, self.off_rest, self.has_jumped = None, 0, False

@@ -1,4 +1,4 @@
-"""What a person at the terminal sees: messages and progress on standard error, the result on standard output."""
+"""Output for a person at the terminal: messages and progress on standard error, the result on standard output."""
 
 import errno
 import json
@@ -22,7 +22,7 @@ ItemT = TypeVar("ItemT")
 class Terminal:
     """Standard error for a person.  Each message also goes to every listener (the recording is one).
 
-    A live flight does not wait for it (`waits` is false): a stopped terminal must not stop the control loop.
+    In a live flight `waits` is false: writing never blocks, because a stopped terminal must not stop the control loop.
     """
 
     def __init__(self, *, waits: bool = True) -> None:
@@ -68,7 +68,7 @@ class Terminal:
 
 
 class _Lasting(Console):
-    """A console whose reader may go away without ending the flight."""
+    """A console that survives a broken pipe: its reader may go away without ending the flight."""
 
     def on_broken_pipe(self) -> None:
         """Print nothing from now on."""
@@ -89,7 +89,7 @@ class _Rate(ProgressColumn):
 
 
 def _standard_error() -> int | None:
-    """Its file descriptor; None if it has none."""
+    """The file descriptor of standard error; None if it does not have one."""
     try:
         return sys.stderr.fileno()
     except (AttributeError, OSError):  # closed before the start, or replaced within Python
@@ -97,14 +97,14 @@ def _standard_error() -> int | None:
 
 
 def _is_stopped_terminal() -> bool:
-    """Whether standard output is a terminal that takes nothing: stopped by Ctrl-S."""
+    """Whether standard output is a terminal that was stopped by Ctrl-S."""
     return sys.stdout.isatty() and not select.select([], [sys.stdout], [], FLUSH_S)[1]
 
 
 def result(figures: Figures | list[Figures], *, as_json: bool) -> None:
     """Print the result on standard output, for a program or for a person; a closed terminal is not an error.
 
-    A stopped terminal gets none: the program must end, and the recording has the figures.
+    A stopped terminal gets no result: the program must end, and the recording has the figures.
     """
     if _is_stopped_terminal():
         return
@@ -115,7 +115,7 @@ def result(figures: Figures | list[Figures], *, as_json: bool) -> None:
     except OSError as error:
         if error.errno != errno.EIO:
             raise
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes standard output at its end
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes standard output when it exits
 
 
 def _json(figures: Figures | list[Figures]) -> str:
@@ -135,7 +135,7 @@ def listed(figures: Figures) -> str:
 
 
 def verdict(figures: Figures) -> str:
-    """Whether a flight whose truth is known was safe, and why, as one line; "" for any other flight."""
+    """Whether a flight with known ground truth was safe, and why, as one line; "" for any other flight."""
     if "violations" not in figures:
         return ""
     if passed := figures["violations"]:

@@ -1,7 +1,7 @@
-"""What the pilot is told over MAVLink: short texts at each change, and three figures twice a second.
+"""Messages to the pilot over MAVLink: a short text at each change, and three figures twice a second.
 
-A text is read in two seconds beside a flying vehicle, so it has at most 50 letters, says what happens before why, and
-comes at most once a second; of what waits the newest counts.
+A pilot beside a flying vehicle has two seconds to read a text, so it has at most 50 letters, says what happens before
+why, and is sent at most once a second; the queue drops its oldest texts.
 """
 
 import math
@@ -16,9 +16,9 @@ from follow.messages import NEVER, Cause, Mode, Tick
 PREFIX = "Follow: "
 TEXT_EVERY_S = 1.0
 SAME_EVERY_S = 10.0  # the same text again, if it is true again
-WAITING = 3  # texts that may wait; older ones are no longer true
+WAITING = 3  # length of the queue; older texts are no longer true
 VALUES_EVERY_S = 0.5
-LOST_AFTER_S = 0.7  # a blink of the tracker is no news
+LOST_AFTER_S = 0.7  # a shorter loss of the target is not reported
 
 SAYS = {
     Mode.READY: "ready, FOLLOW can be ordered",
@@ -31,18 +31,18 @@ SAYS = {
     Mode.ENDED: "ended",
     Mode.OBSERVE: "not ready",
 }
-"""What happens, in each mode of the gate."""
+"""The text for each mode of the gate."""
 
 WARNINGS = (Mode.COAST, Mode.SEARCH, Mode.HOLD, Mode.BRAKE, Mode.ENDED)
 QUIET = (Cause.SEEN, Cause.READY, Cause.OBEYS, Cause.STARTED, Cause.FRESH)
-"""Causes that add nothing to what happens."""
+"""Causes that add nothing to the mode's text."""
 
 LOOSE = "box was loose: follows what moved in it"
-"""What the pilot reads when the tracker started again."""
+"""The text for a restarted tracker."""
 
 
 class TextLink(Protocol):
-    """Where texts and figures go; `follow.link.client.MavlinkClient` is one."""
+    """Sends texts and figures; `follow.link.client.MavlinkClient` is one."""
 
     def tell(self, text: str, severity: int) -> None:
         """Queue one text."""
@@ -55,7 +55,7 @@ class TextLink(Protocol):
 
 @dataclass(slots=True)
 class PilotTexts:
-    """Tells the pilot what changes; `see` takes each tick, `say` a line of a console."""
+    """Tells the pilot of changes; `see` takes each tick, `say` a line of a console."""
 
     pilot: TextLink
     shown: str = ""
@@ -67,7 +67,7 @@ class PilotTexts:
     waiting: deque[tuple[str, int]] = field(default_factory=lambda: deque[tuple[str, int]](maxlen=WAITING))
 
     def say(self, text: str, *, warns: bool = False) -> None:
-        """Tell the pilot this as soon as the rate allows it."""
+        """Queue a text for the pilot, unless it is already queued."""
         severity = dialect.MAV_SEVERITY_WARNING if warns else dialect.MAV_SEVERITY_INFO
         if text not in (waiting for waiting, _ in self.waiting):
             self.waiting.append((text, severity))
@@ -96,7 +96,7 @@ class PilotTexts:
                 self.pilot.tell_value(name, value, t_s)
 
     def is_news(self, text: str, t_s: float) -> bool:
-        """Whether a text was not told in the last SAME_EVERY_S."""
+        """Whether a text was not sent in the last SAME_EVERY_S."""
         if t_s - self.last.get(text, NEVER) < SAME_EVERY_S:
             return False
         self.last[text] = t_s
@@ -126,11 +126,11 @@ SHORT = {
     Cause.NOT_OBEYING: "vehicle does not obey, stops",
     Cause.OUT_OF_REACH: "target out of reach",
 }
-"""What the pilot reads of causes whose sentence is too long for two seconds."""
+"""Short texts for causes whose own sentence is too long to read in two seconds."""
 
 
 def sentence(tick: Tick) -> str:
-    """What happens, and why if that says more."""
+    """The text for a tick: what happens, and why unless the cause adds nothing."""
     decision = tick.decision
     says, cause = SAYS[decision.mode], decision.reason.cause
     if cause in QUIET:

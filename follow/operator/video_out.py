@@ -1,7 +1,7 @@
-"""What the camera sees, sent to the ground station: encoded beside the loop, the newest frame only, never waited for.
+"""The camera's video to the ground station: encoded outside the loop, only the newest frame, never blocking.
 
-The frames go out as they are, because a ground station draws its own box; `video.overlay` draws one for a viewer that
-does not.
+Frames are sent without a box, because a ground station draws its own; `video.overlay` draws one for a viewer that does
+not.
 """
 
 import time
@@ -33,7 +33,7 @@ GREEN, AMBER, WHITE = (80, 220, 60), (0, 170, 255), (255, 255, 255)  # BGR
 
 @dataclass(frozen=True, slots=True)
 class VideoConfig:
-    """The video that is sent to the ground station.  Raises ValueError for what no stream has."""
+    """The video to the ground station.  Raises ValueError for implausible values."""
 
     width: int = 640
     """Width of the stream, pixels, at most the camera's; the height follows by its aspect."""
@@ -42,7 +42,7 @@ class VideoConfig:
     rate_bit_s: int = 2_000_000
     """Highest bit rate: 2 Mbit/s shows a 640x360 scene at 37 dB in its worst part (docs/ground_station.md)."""
     key_s: float = KEY_S
-    """Time between key frames, s: a short one makes lost packets good sooner, a long one looks better at a low rate."""
+    """Time between key frames: a short one recovers from lost packets sooner, a long one looks better at a low rate."""
     twice: bool = False
     """Send each RTP packet twice, for a radio that loses many; half of rate_bit_s each. Not for FFmpeg."""
     encoder: Encoder = Encoder.AUTO
@@ -66,7 +66,7 @@ class VideoConfig:
 
 @dataclass(frozen=True, slots=True)
 class VideoAddress:
-    """Where the video goes: RTP to `host` and `port` ("": the ground stations that are heard), or RTSP to `url`."""
+    """Where to send the video: RTP to `host` ("": the connected ground stations) and `port`, or RTSP to `url`."""
 
     host: str = ""
     port: int = PORT
@@ -97,16 +97,16 @@ def stream_size(camera: tuple[int, int], width: int) -> tuple[int, int]:
 def description_of(
     address: VideoAddress, config: VideoConfig, camera: tuple[int, int], hfov_deg: float
 ) -> StreamDescription:
-    """What a ground station is told of the stream: for RTP the bare port, because that is all that it listens to."""
+    """The description for ground stations: for RTP the bare port, because they only listen."""
     size = stream_size(camera, config.width)
     uri = address.url or str(address.port)
     return StreamDescription(uri, not address.url, config.rate_hz, size, config.rate_bit_s, hfov_deg)
 
 
 class VideoOut:
-    """Takes each tick with `see` and sends its frame; `send_to` names the ground stations that are heard now.
+    """Takes each tick with `see` and sends its frame to the hosts of `send_to`.
 
-    `clock` has the time of the frames.
+    `clock` is the clock of the frames' times.
     """
 
     def __init__(
@@ -125,13 +125,13 @@ class VideoOut:
 
     @property
     def delay_s(self) -> float:
-        """Median time from the taking of a frame to its sending; NaN in the first second, while the encoder starts."""
+        """Median time from a frame's exposure to its sending; NaN in the first second, while the encoder starts."""
         delays = list(self._delays)
         return median(delays) if len(delays) == DELAYS else float("nan")
 
     @property
     def dropped(self) -> int:
-        """Number of frames that gave way to a newer one."""
+        """Number of frames that a newer one replaced before they were sent."""
         return self._worker.dropped
 
     def send_to(self, hosts: tuple[str, ...]) -> None:
@@ -142,7 +142,7 @@ class VideoOut:
             self._worker.put(lambda stream: stream.send_to(addresses))
 
     def hear_stations(self, hosts: tuple[str, ...]) -> None:
-        """The ground stations that are heard: they get the video unless the address names another host."""
+        """Send to the connected ground stations, unless the address names a host."""
         if not self._address.host:
             self.send_to(hosts)
 
@@ -178,14 +178,14 @@ def nothing(_stream: VideoStream) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Overlay:
-    """What is drawn into a frame: the box in shares of the image, and words."""
+    """The overlay of a frame: the box in fractions of the image, and a text."""
 
     status: TrackingStatus
     words: str
 
 
 def overlay(tick: Tick, status: TrackingStatus) -> Overlay:
-    """The box, the gate's mode, and the range and height over the target while it is seen."""
+    """The box, the gate's mode, and the range of the target once it was seen."""
     seen, words = tick.estimate, tick.decision.mode.value
     if status.state is not TrackingState.IDLE and seen.seen_t_s > NEVER:
         words = f"{words}  {seen.range_m:.0f} m"
@@ -204,7 +204,7 @@ def drawn(image: NDArray[np.uint8], about: Overlay) -> NDArray[np.uint8]:
         opposite = round((left + width) * columns), round((top + height) * rows)
         colour = GREEN if about.status.state is TrackingState.ACTIVE else AMBER
         cv2.rectangle(image, corner, opposite, colour, thick)
-    place = round(8 * scale), rows - round(10 * scale)
+    corner = round(8 * scale), rows - round(10 * scale)
     for colour, width_px in ((0, 0, 0), 3 * thick), (WHITE, thick):
-        cv2.putText(image, about.words, place, cv2.FONT_HERSHEY_SIMPLEX, 0.6 * scale, colour, width_px, cv2.LINE_AA)
+        cv2.putText(image, about.words, corner, cv2.FONT_HERSHEY_SIMPLEX, 0.6 * scale, colour, width_px, cv2.LINE_AA)
     return image

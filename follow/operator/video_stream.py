@@ -1,8 +1,8 @@
-"""An H.264 stream to ground stations: RTP over UDP [RFC 6184], or RTSP pushed to a server.  For one thread of its own.
+"""An H.264 stream to ground stations: RTP over UDP [RFC 6184], or RTSP pushed to a server.  It runs in its own thread.
 
 Each slice fits into one packet, so that a lost packet costs a strip of one frame; key frames with the stream's
-parameters come every `Coding.key_s`, so that what is lost is soon made good.  Payload type 96 and a clock of 90 kHz, as
-QGroundControl expects them.
+parameters follow every `Coding.key_s`, so that the image soon recovers.  Payload type 96 and a clock of 90 kHz, as
+QGroundControl expects.
 """
 
 import os
@@ -28,7 +28,7 @@ CLOCK_HZ = 90_000  # RTP clock of video [RFC 6184, section 8.2.1]
 KEY_S = 0.1  # at 10 % loss 95 % of spoilt stretches end in 0.7 s, with 0.25 s in 2.5 (benchmarks/video_loss.py)
 PACKET_BYTES, SLICE_BYTES = 1300, 1200  # an Ethernet frame less the headers of IP, UDP, a VPN and radio links
 BUFFER_S = 0.25  # the encoder keeps the bit rate over this time: a key frame must not fill a radio link
-RETRY_S = 2.0  # between two attempts to open a stream
+RETRY_S = 2.0  # delay between two attempts to open a stream
 
 BOARD_OPTIONS = {Encoder.NVENC.value: {"preset": "p1", "tune": "ull", "zerolatency": "1", "delay": "0"}}
 """Options for no delay, by encoder: FFmpeg's documentation of nvenc."""
@@ -38,7 +38,7 @@ BOARD_OPTIONS = {Encoder.NVENC.value: {"preset": "p1", "tune": "ull", "zerolaten
 class Coding:
     """How frames are coded: `encoder` is never AUTO or JPEG; `rate_hz` is the highest rate.
 
-    `key_s` is the time from one key frame to the next.  With `twice` RTP packets go twice.
+    `key_s` is the time from one key frame to the next.  With `twice` each RTP packet is sent twice.
     """
 
     encoder: str
@@ -54,10 +54,10 @@ class Coding:
 
 
 class Fanout:
-    """Takes what FFmpeg writes, one RTP packet at a time, and sends it to every address without waiting.
+    """Sends each RTP packet that FFmpeg writes to every address, without blocking.
 
     With `twice` the packets of a frame are sent again after its last one, and that one after the first of the next
-    frame.  GStreamer's jitter buffer takes the one that comes; FFmpeg's receiver loses its place by copies.
+    frame.  GStreamer's jitter buffer drops duplicates; FFmpeg's receiver does not cope with them.
     """
 
     def __init__(self, twice: bool = False) -> None:
@@ -68,7 +68,7 @@ class Fanout:
         self._socket.setblocking(False)
 
     def write(self, packet: bytes) -> int:
-        """Send one packet; what the network does not take at once is dropped and counted."""
+        """Send one packet; a packet that cannot be sent at once is dropped and counted."""
         self._send(packet)
         if self._twice:
             self._send_again(bytes(packet))
@@ -88,7 +88,7 @@ class Fanout:
         for address in self.addresses:
             try:
                 self._socket.sendto(packet, address)
-            except OSError:  # send buffer full, no route yet: the next frame counts
+            except OSError:  # send buffer full, or no route yet: drop it, newer frames follow
                 self.dropped += 1
 
     def close(self) -> None:
@@ -126,7 +126,7 @@ class VideoStream:
         self._fanout.addresses = tuple(known)
 
     def show(self, image: NDArray[np.uint8], t_s: float) -> bool:
-        """Encode and send an image, (rows, columns, 3) BGR or (rows, columns) grey, taken at `t_s`; whether it went."""
+        """Encode and send an image, (rows, columns, 3) BGR or (rows, columns) grey, at `t_s`; whether it was sent."""
         if not (self._push or self._fanout.addresses) or time.monotonic() - self._broken_t_s < RETRY_S:
             return False
         image = even(image)
@@ -167,13 +167,13 @@ class VideoStream:
         options = {"packetsize": str(PACKET_BYTES), "rtpflags": "skip_rtcp"}
         container: Any = av.open(self._push or self._fanout, "w", format="rtp", options=options)
         self._stream = add_h264(container, self._coding, size)
-        container.start_encoding()  # opens the encoder, which then tells its parameters
+        container.start_encoding()  # opens the encoder: only then its parameters are known
         self._parameters = BitStreamFilterContext("dump_extra", self._stream)
         self._container, self._size, self._key_t_s = container, size, NEVER
         return container
 
     def _end(self) -> None:
-        self._container, self._size = None, (0, 0)  # RTP has no end that would have to be written
+        self._container, self._size = None, (0, 0)  # RTP needs no trailer
         if self._push is not None:
             self._push.close()
 

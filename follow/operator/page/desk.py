@@ -1,4 +1,4 @@
-"""The loop's side of the page: heeds what was done in the windows, and hands out each round.  Nothing here waits."""
+"""The loop's side of the page: carries out the windows' acts and publishes each round.  Nothing here waits."""
 
 import math
 from collections import deque
@@ -13,13 +13,13 @@ from follow.safety.checks import UNSEEN
 from follow.safety.modes import FLYING, STREAMING
 from follow.selection import HOVER_HERE, Cleared, Detections, Selection, TrackingState, TrackingStatus
 
-ACTS = 4  # heeded in a round, besides every STOP: a flood must not delay a setpoint
-FRAMES = 256  # whose times are kept: more than a selection may name (2 s at 60 frames/s)
+ACTS = 4  # carried out in a round, and every STOP: a flood must not delay a setpoint
+FRAMES = 256  # frames whose times are kept: more than a selection may name (2 s at 60 frames/s)
 SAME_M = 0.5  # a smaller difference of two stand-offs is not shown
 PATH_S = 0.5  # between two points of the top view
 
 CALM, GOOD, WARNS, BAD = "calm", "good", "warns", "bad"
-"""What a state means to a person: nothing moves, it follows, attention, the target or the control is lost."""
+"""The tone of a state: nothing moves, it follows, attention, the target or control is lost."""
 
 STATES = {
     Mode.OBSERVE: ("NOT READY", WARNS),
@@ -45,7 +45,7 @@ HOVERS = "hovers until FOLLOW or STOP"
 def headline(mode: Mode, wanted: str, tracking: TrackingState, *, is_new: bool) -> tuple[str, str]:
     """The state in large letters and its tone; `wanted` is the mode that a person wants.
 
-    `is_new`: the target was selected after the flight to the one before ended, which is STOPPED no more.
+    `is_new`: the target was selected after the last flight ended, so the state is no longer STOPPED.
     """
     if mode in (Mode.OBSERVE, Mode.READY, Mode.ENDED) and tracking is TrackingState.IDLE:
         return ("STOPPED" if mode is Mode.ENDED else SELECT), CALM
@@ -74,7 +74,7 @@ def explanation(words: str, decision: Decision) -> str:
 
 
 def detected(found: Detections | None, frame: Frame | None, t_s: float) -> dict[str, object] | None:
-    """A detector's boxes as the page draws them: shares of the image, with their frame's number and their age, s."""
+    """A detector's boxes as the page draws them: fractions of the image, with their frame's index and their age, s."""
     if found is None or frame is None:
         return None
     rows, columns = frame.image.shape[:2]
@@ -89,7 +89,7 @@ class PageDesk:
     """`see` takes each tick, after the consoles did.
 
     `recording` names the flight that is being recorded; `suffix` follows each state in large letters.  `charge` gives
-    what is left in the battery, percent, None if the autopilot does not know.
+    the battery's remaining charge, percent, None if the autopilot does not know it.
     """
 
     def __init__(
@@ -131,7 +131,7 @@ class PageDesk:
         )
 
     def close(self) -> None:
-        """The flight is over: no more acts are heeded."""
+        """End the flight: no more acts are carried out."""
         self._exchange.is_flying = False
         last = self._exchange.shown
         ended = {**last.status, "state": "THE FLIGHT IS OVER", "tone": CALM, "why": "the program has ended"}
@@ -205,7 +205,7 @@ class PageDesk:
         }
 
     def _kept(self, desired_m: float) -> str:
-        """The stand-off that the servo keeps and why, where it differs from the desired one; else empty."""
+        """The stand-off that the servo keeps and why, if it differs from the desired one; else empty."""
         kept = self._consoles.kept()
         if not abs(kept.standoff_m - desired_m) > SAME_M:  # NaN: none is kept
             return ""

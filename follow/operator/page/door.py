@@ -1,9 +1,9 @@
 """Who may open the page: the address it listens on, its token, and the checks of each request.
 
-A browser is turned against its user in three ways.  Another site opens a WebSocket here: its Origin is not ours.  A
-name that was first elsewhere is pointed here (DNS rebinding): the Host is not an address of this machine.  Another
-site shows the page in a frame and lets the user click in it: frames are forbidden.  On an address that others reach a
-token is needed besides, once in the address, from then on in a cookie that no other site can use.
+Another site can abuse a user's browser in three ways.  It opens a WebSocket here: its Origin is not ours.  It points
+its own name here (DNS rebinding): the Host is not an address of this machine.  It shows the page in a frame and lets
+the user click in it (clickjacking): frames are forbidden.  An address that other machines can reach also needs a token,
+once in the URL, from then on in a cookie that no other site can use.
 """
 
 import contextlib
@@ -25,7 +25,7 @@ from urllib.parse import parse_qs, urlencode
 from follow.link.transports import LAST_PORT, Reach, reach_of
 
 LEAST_TOKEN = 16  # letters: what `secrets.token_urlsafe(12)` has, 96 bits
-COOKIE_S = 30 * 24 * 3600  # a season's phone need not scan the address before each flight
+COOKIE_S = 30 * 24 * 3600  # so that a phone need not scan the address before each flight
 
 MAKES_TOKEN = "python3 -c 'import secrets; print(secrets.token_urlsafe(18))'"
 
@@ -51,10 +51,10 @@ class PageAddress:
         return self.host in ("0.0.0.0", "::")
 
     def urls(self, token: str = "") -> tuple[str, ...]:
-        """What a person types into a browser: one for each address of this machine that another device reaches.
+        """The URLs for a browser: one for each address of this machine that another device can reach.
 
-        Addresses, because a phone at the field has no name server that knows this machine's name.  None without a
-        network.
+        They hold addresses, because a phone in the field has no name server that knows this machine's name.  Empty
+        without a network.
         """
         hosts = network_addresses(":" in self.host) if self.is_everywhere else (self.host,)
         query = f"?{urlencode({'token': token})}" if token else ""
@@ -72,7 +72,7 @@ def network_addresses(is_ipv6: bool = False, interfaces: Path = INTERFACES) -> t
 
 
 def ipv4_of(interface: str) -> tuple[str, ...]:
-    """The interface's first IPv4 address; none if it has none or is down."""
+    """The interface's first IPv4 address; empty if it has none or is down."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, contextlib.suppress(OSError):
         answer = fcntl.ioctl(probe, SIOCGIFADDR, struct.pack("256s", interface.encode()[:15]))
         return (socket.inet_ntoa(answer[20:24]),)
@@ -80,7 +80,7 @@ def ipv4_of(interface: str) -> tuple[str, ...]:
 
 
 def ipv6_of(interface: str, table: Path = Path("/proc/net/if_inet6")) -> tuple[str, ...]:
-    """The interface's IPv6 addresses that are not of one link only: those need its name, which browsers do not take."""
+    """The interface's IPv6 addresses, without link-local ones: they need a zone name, which browsers do not accept."""
     lines = table.read_text().splitlines() if table.exists() else []
     rows = [line.split() for line in lines]
     return tuple(str(ipaddress.ip_address(bytes.fromhex(r[0]))) for r in rows if r[5] == interface and r[3] == "00")
@@ -116,7 +116,7 @@ def new_token() -> str:
 
 
 def require_token(address: PageAddress, token: str) -> None:
-    """Raise ValueError for an address that others reach without a token."""
+    """Raise ValueError for an address that other machines can reach, without a token."""
     if not token and not address.is_local:
         raise ValueError(f"the page on {address.host} needs a token: others reach that address")
 
@@ -130,7 +130,7 @@ class Refusal:
 
 
 class Door:
-    """The checks of each request.  An empty `token` asks for none: only on an address of this machine."""
+    """The checks of each request.  An empty `token`, allowed only on a loopback address, skips its check."""
 
     def __init__(self, address: PageAddress, token: str) -> None:
         require_token(address, token)
@@ -150,7 +150,7 @@ class Door:
         return None
 
     def is_let_in(self, headers: Mapping[str, str]) -> bool:
-        """Whether the request bears the cookie."""
+        """Whether the request has the cookie."""
         if not self.token:
             return True
         try:
@@ -161,7 +161,7 @@ class Door:
         return hmac.compare_digest(given.encode(), self._cookie.encode())
 
     def token_of(self, query: str) -> str | None:
-        """The cookie to set if the query bears the right token, "" for a wrong one, None if it has no token."""
+        """The cookie to set if the query has the right token, "" for a wrong one, None if it has no token."""
         try:
             given = parse_qs(query, max_num_fields=10).get("token")
         except ValueError:

@@ -1,7 +1,7 @@
-"""What passes between the control loop and the page's thread; neither waits for the other.
+"""The exchange between the control loop and the page's thread; neither waits for the other.
 
-The loop's newest round replaces the one before (`Shown`).  What persons do in the windows waits in two bounded queues:
-STOP in one of its own, so that no flood of other acts can displace it.
+The loop's newest round replaces the one before (`Shown`).  Acts in the windows wait in two bounded queues: STOP has one
+of its own, so that no flood of other acts can displace it.
 """
 
 import contextlib
@@ -93,9 +93,8 @@ def read_box(message: Mapping[str, object]) -> tuple[float, float, float, float]
         raise ValueError("box is [left, top, width, height] in 0..1 of the image")
     numbers: list[float] = []
     for value in cast("list[object]", box):
-        if (
-            not isinstance(value, int | float) or isinstance(value, bool) or not -1.0 <= value <= 2.0
-        ):  # refuses NaN also
+        # The negated comparison also refuses NaN.
+        if not isinstance(value, int | float) or isinstance(value, bool) or not -1.0 <= value <= 2.0:
             raise ValueError("box is [left, top, width, height] in 0..1 of the image")
         numbers.append(float(value))
     if min(numbers[2:]) < 0.0:
@@ -110,7 +109,7 @@ def read_box(message: Mapping[str, object]) -> tuple[float, float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class NumberedLine:
-    """A line for every window, or the reply to the act of one (`by`)."""
+    """A line for every window, or the reply to an act of one (`by`)."""
 
     n: int
     text: str
@@ -120,9 +119,9 @@ class NumberedLine:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shown:
-    """What the windows show after one round: the newest frame with its tracked box, and the status as JSON has it.
+    """What the windows show after one round: the newest frame with its tracked box, and the status for JSON.
 
-    `found` is what a detector found, as JSON has it, None if there is nothing to tap on.
+    `found` holds a detector's boxes for JSON, None without any.
     """
 
     frame: Frame | None
@@ -136,7 +135,7 @@ STARTING = Shown(None, None, "idle", {"state": "STARTING", "tone": "calm", "why"
 
 
 class Exchange:
-    """Both sides' mailbox.  Only appends to bounded deques and replaced references: no lock, no wait."""
+    """The mailbox of both sides.  It only appends to bounded deques and replaces references: no lock, no wait."""
 
     def __init__(self) -> None:
         self.shown = STARTING
@@ -168,28 +167,28 @@ class Exchange:
             self.wake()
 
     def act(self, act: Act) -> None:
-        """Queue what a person did; the oldest act is dropped where too many wait.
+        """Queue a person's act; a full queue drops its oldest.
 
-        A STOP voids what waits: an order from before it must not act after it.
+        A STOP empties the queue of other acts: an earlier order must not act after it.
         """
         if not act.is_stop:
             self._acts.append(act)
             return
         self._stops.append(act)
-        with contextlib.suppress(IndexError):  # the loop takes them meanwhile
+        with contextlib.suppress(IndexError):  # until it is empty; the loop may take acts meanwhile
             while True:
                 self.reply(self._acts.popleft().by, "not done: STOP came before it", done=False)
 
     def hear(self, window: str) -> None:
-        """A window is open and in front."""
+        """Note that a window is open and in front."""
         self._hearts.append(window)
 
     def heard(self) -> set[str]:
-        """The windows that were heard since the last call."""
+        """The windows with a sign of life since the last call."""
         return {self._hearts.popleft() for _ in range(len(self._hearts))}
 
     def taken(self, most: int) -> list[Act]:
-        """The acts that wait: every STOP first, then at most that many others."""
+        """Take the queued acts: every STOP, then others up to `most` in all."""
         acts: list[Act] = []
         while self._stops:
             acts.append(self._stops.popleft())
@@ -201,7 +200,7 @@ class Exchange:
 def copied(entries: deque[EntryT]) -> list[EntryT]:
     """The entries of a deque to which another thread appends."""
     while True:
-        with contextlib.suppress(RuntimeError):  # appended to meanwhile
+        with contextlib.suppress(RuntimeError):  # another thread appended meanwhile: retry
             return list(entries)
 
 

@@ -1,4 +1,4 @@
-"""The recorded flights that the page offers.  A request only chooses from a listing: no path is made of its words."""
+"""The recorded flights that the page offers.  A request chooses from a listing and never becomes a path itself."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +10,7 @@ MOST = 50  # newest flights that are listed
 
 @dataclass(frozen=True, slots=True)
 class ShelvedFlight:
-    """One folder of a flight: its name in the listing, its files with their sizes, bytes."""
+    """One flight's folder: its name in the listing, and its files with their sizes in bytes."""
 
     name: str
     folder: Path
@@ -24,7 +24,7 @@ class ShelvedFlight:
 
 
 class FlightShelf:
-    """The flights beside the present one and set aside in its folder `out`, without the present one itself."""
+    """The flights next to the present one's folder `out`, and those set aside inside it; not the present one."""
 
     def __init__(self, out: Path) -> None:
         self._out = out.resolve()
@@ -42,7 +42,7 @@ class FlightShelf:
         return found[:MOST]
 
     def _flight(self, folder: Path) -> ShelvedFlight | None:
-        """The flight in a folder; None if it holds no flight, is the present one or lies elsewhere."""
+        """The flight in a folder; None if it holds no flight, is the present one or is a symbolic link."""
         try:
             if folder.is_symlink() or not folder.is_dir() or folder == self._out:
                 return None
@@ -54,7 +54,7 @@ class FlightShelf:
             if "ticks.csv" not in files:
                 return None
             name = folder.relative_to(self._out.parent).as_posix()
-            if not name.isprintable():  # bytes that are no UTF-8, a line feed: neither JSON nor an address has them
+            if not name.isprintable():  # invalid UTF-8 or a line feed cannot stand in JSON or in an address
                 return None
             return ShelvedFlight(name, folder, files, (folder / "ticks.csv").stat().st_mtime)
         except OSError:

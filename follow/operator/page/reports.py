@@ -1,4 +1,4 @@
-"""Reports of recorded flights, written by another process: its plots must not take this one's interpreter."""
+"""Reports of recorded flights, written by another process, because plotting would hold this interpreter's lock."""
 
 import asyncio
 import sys
@@ -17,7 +17,7 @@ class Reports:
         self._is_writing = False
 
     async def write(self, name: str) -> str:
-        """Write the report of a listed flight; why it was not written, empty if it was."""
+        """Write the report of a listed flight; returns why it was not written, or ""."""
         flight = self._flights.flight(name)
         if flight is None:
             return "no such recording"

@@ -32,16 +32,16 @@ from follow.operator.page.recordings import FlightShelf
 from follow.operator.page.reports import Reports
 from follow.operator.page.windows import LARGEST_MESSAGE, Windows
 
-CLOSE_S = 3.0  # for the thread to end
+CLOSE_S = 3.0  # timeout for the thread to end
 CONNECTIONS = 64  # at a time; a window has one, a browser opens a few more for files
-CONNECTIONS_OF_ONE = 32  # of one address: whoever opens more, without a token also, must not keep the others out
-REQUEST_S = 5.0  # in which a new connection makes its request
-BYTES_PER_S = 128_000  # from a window; 20 images, 5 taps and a sign of life a second are 2 kB
-BYTES_AT_ONCE = 64_000  # what waited in a network that hung arrives in one piece; as pings it takes some 40 ms
-MESSAGE_BYTES = 32  # that a message costs besides its own
-FRAGMENTS = 64  # of a message; a browser sends one of this size whole
+CONNECTIONS_OF_ONE = 32  # from one address: even without a token one client must not keep the others out
+REQUEST_S = 5.0  # timeout of a new connection's first request
+BYTES_PER_S = 128_000  # rate limit of a window; 20 confirmations, 5 taps and a sign of life a second are 2 kB
+BYTES_AT_ONCE = 64_000  # burst after a stalled network; pings of this size take some 40 ms
+MESSAGE_BYTES = 32  # each message costs this much of the budget besides its bytes
+FRAGMENTS = 64  # most fragments of a message; a browser does not fragment one of the permitted size
 FLOOD = "too many bytes or messages"
-FLOOD_CLOSE_S = 0.5  # for the reason to arrive
+FLOOD_CLOSE_S = 0.5  # time for the reason to arrive
 SERVER_LOG = logging.getLogger("uvicorn")
 HTML = Path(__file__).with_name("page.html")
 REPORTS_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox"
@@ -83,7 +83,7 @@ def guarded_by(door: Door, app: App) -> App:
 
 
 async def refuse(is_socket: bool, refusal: Refusal, scope: Scope, receive: Receive, send: Send) -> None:
-    """Refuse a request, in letters that a phone shows; a WebSocket before it is accepted, which is status 403 there."""
+    """Refuse a request with a page that a phone can show; a WebSocket before it is accepted, which gives status 403."""
     if is_socket:
         await send({"type": "websocket.close", "code": 1008})
     else:
@@ -92,7 +92,7 @@ async def refuse(is_socket: bool, refusal: Refusal, scope: Scope, receive: Recei
 
 
 def fixed(headers: Headers) -> dict[str, str]:
-    """The headers of every response: nothing from elsewhere, in no frame of another site, nothing kept."""
+    """The headers of every response: no content from elsewhere, no frame of another site, no caching."""
     socket_url = f"ws://{headers.get('host', '')}"
     return {
         "content-security-policy": (
@@ -108,7 +108,7 @@ def fixed(headers: Headers) -> dict[str, str]:
 
 
 def with_headers(send: Send, headers: dict[str, str]) -> Send:
-    """`send` that adds the headers to each response which does not set them itself."""
+    """A `send` that adds the headers to each response that does not set them itself."""
 
     async def sending(message: MutableMapping[str, Any]) -> None:
         if message["type"] == "http.response.start":
@@ -167,13 +167,13 @@ def listening(address: PageAddress) -> socket.socket:
 
 
 class BoundedHttp(H11Protocol):
-    """HTTP of one connection, which is closed at once if there are too many, or without a request for REQUEST_S.
+    """HTTP of one connection, which is closed at once if there are too many, or after REQUEST_S without a request.
 
-    Each costs a file of the process that flies, before anybody has shown a token.
+    Each connection takes a file descriptor of the process that flies, even before any token is checked.
     """
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override] - as uvicorn's own
-        """Begin, or close what is too much."""
+        """Accept the connection, or close it if there are too many."""
         super().connection_made(transport)
         peers = [peer_of(other) for other in self.connections]
         if len(peers) > CONNECTIONS or peers.count(peer_of(self)) > CONNECTIONS_OF_ONE:
@@ -182,22 +182,22 @@ class BoundedHttp(H11Protocol):
             self.loop.call_later(REQUEST_S, self._close_silent)
 
     def _close_silent(self) -> None:
-        if self in self.connections and cast("object", self.cycle) is None:  # neither a window by now, nor a request
+        if self in self.connections and cast("object", self.cycle) is None:  # neither a window nor a request yet
             self.transport.abort()
 
 
 class BoundedWebSocket(WebSocketsSansIOProtocol):
     """WebSocket of one window, which is closed if it sends far more than the page does.
 
-    Pings, pongs and fragments never reach the window's own reader, and are parsed under the interpreter lock that the
-    control loop needs.  A frame from a window has 6 bytes at least, so that the budget of bytes bounds the frames.
+    Pings, pongs and fragments never reach the window's own reader, but parsing them takes the interpreter lock that the
+    control loop needs.  A frame from a window has at least 6 bytes, so the budget of bytes also limits the frames.
     """
 
     _left, _left_s = float(BYTES_AT_ONCE), 0.0
     _is_flooded = False
 
     def data_received(self, data: bytes) -> None:
-        """Read what came, if the budget holds it; else it is not even parsed."""
+        """Parse the data if the budget permits it."""
         now_s = self.loop.time()
         self._left = min(self._left + BYTES_PER_S * (now_s - self._left_s), BYTES_AT_ONCE)
         self._left_s = now_s
@@ -205,17 +205,17 @@ class BoundedWebSocket(WebSocketsSansIOProtocol):
             super().data_received(data)
 
     def send_receive_event_to_app(self) -> None:
-        """Pass one message on, for its price."""
+        """Pass one message on if the budget permits it."""
         if self._pays(MESSAGE_BYTES):
             super().send_receive_event_to_app()
 
     def handle_cont(self, event: Frame) -> None:
-        """Add a fragment to a message that does not have too many: empty ones would only cost memory."""
+        """Add a fragment to a message unless it has too many: even empty ones take memory."""
         if self._pays(0 if len(self.frames) < FRAGMENTS else BYTES_AT_ONCE):
             super().handle_cont(event)
 
     def _pays(self, cost: int) -> bool:
-        """Take it from the budget; a window that cannot pay is told why, is read no more, and is cut off soon."""
+        """Take a cost from the budget; a window that exceeds it gets the reason, is no longer read, and is cut off."""
         self._left -= cost
         if self._left < 0.0 and not self._is_flooded:
             self._is_flooded = True
@@ -223,7 +223,7 @@ class BoundedWebSocket(WebSocketsSansIOProtocol):
             self.conn.fail(1008, FLOOD)
             self.transport.write(b"".join(self.conn.data_to_send()))
             self.queue.put_nowait({"type": "websocket.disconnect", "code": 1008})
-            self.close_sent, self.read_paused = True, False  # or the reader of the queue would read on
+            self.close_sent, self.read_paused = True, False  # otherwise the queue's reader resumes reading
             self.transport.pause_reading()
             self.close_timer = self.loop.call_later(FLOOD_CLOSE_S, self.transport.abort)
         return not self._is_flooded
@@ -290,11 +290,11 @@ class PageServer:
 
     @property
     def is_alive(self) -> bool:
-        """Whether the thread runs."""
+        """Whether the page's thread runs."""
         return self._thread.is_alive()
 
     def _run(self) -> None:
-        """The thread."""
+        """Run the server; the page's thread."""
         try:
             self._server.run([self._socket])
         except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever it was, the flight goes on without the page
@@ -306,7 +306,7 @@ class PageServer:
                 self._socket.close()
 
     def close(self) -> None:
-        """End the thread; one that does not end is left behind."""
+        """End the thread; after the timeout it is left running."""
         self._server.should_exit = True
         self._thread.join(CLOSE_S)
 

@@ -1,7 +1,7 @@
-"""The open windows: each is sent the newest image and status, and what a person does in it goes to the loop.
+"""The open windows: each gets the newest image and status, and a person's acts in it go to the loop.
 
-An image is sent when the window has said that it shows the last one, so that a slow phone misses images and is never
-behind.  The status is the whole state each time: nothing queues up for a window that does not read.
+The next image is sent when the window has confirmed that it shows the last one, so that a slow phone skips images and
+never lags.  Each status is complete, so nothing queues up for a window that does not read.
 """
 
 # pyright: reportMissingImports=false
@@ -25,21 +25,21 @@ from follow.operator.page.exchange import Act, Doing, Exchange, Shown, copied, r
 
 IMAGES_PER_S = 20.0  # at most; the eye sees motion from 15 on
 STATUS_PER_S = 10.0
-IMAGE_TIMEOUT_S = 2.0  # an image that was not shown by then is lost: send the next one
-WIDEST_PX = 960  # a wider image is shrunk: a phone shows no more
+IMAGE_TIMEOUT_S = 2.0  # an image that was not confirmed by then is lost: send the next one
+WIDEST_PX = 960  # wider images are shrunk: a phone shows no more
 JPEG_QUALITY = 70  # some 30 kB at 640x360
 LARGEST_MESSAGE = 2048  # bytes from a window
 WINDOWS = 24  # open at a time
-KNOWN_WINDOWS = 200  # whose numbers are kept, so that one that reconnects keeps its name and the command
-ACTS_PER_S, BURST = 10.0, 20.0  # taken from a window; a thumb presses 5 a second
+KNOWN_WINDOWS = 200  # keys that are remembered, so that a window that reconnects keeps its name and the command
+ACTS_PER_S, BURST = 10.0, 20.0  # rate limit of one window; a thumb presses 5 times a second
 HELLO_S = 5.0
-HEARD_S = 1.0
-CLOSE_S = 0.5  # for a connection that may be dead
-REPLACED = 4001  # tells a window to take a number of its own
+HEARD_S = 1.0  # least time between two signs of life passed on to the loop
+CLOSE_S = 0.5  # timeout for a connection that may be dead
+REPLACED = 4001  # close code that tells a window to take a new key
 WINDOW = re.compile(r"[0-9a-f]{8,32}")
 
 Closed = (WebSocketDisconnect, RuntimeError, OSError)
-"""What sending to a window that has just gone raises."""
+"""Errors of sending to a window that has just gone."""
 
 
 @dataclass(slots=True, eq=False)
@@ -50,14 +50,14 @@ class PageWindow:
     socket: WebSocket
     news: asyncio.Event = field(default_factory=asyncio.Event)
     sent_frame: int = -1
-    waits_since_s: float | None = None  # since when it was sent an image that it does not yet show
+    waits_since_s: float | None = None  # when the image was sent that it has not yet confirmed
     seen_line: int = 0
     budget: float = BURST
     budget_s: float = 0.0
     heard_s: float = 0.0
 
     def may_act(self, now_s: float) -> bool:
-        """Whether one more act is taken from it now."""
+        """Whether the rate limit (a token bucket) permits one more act now."""
         self.budget = min(self.budget + ACTS_PER_S * (now_s - self.budget_s), BURST)
         self.budget_s = now_s
         if self.budget < 1.0:
@@ -100,7 +100,7 @@ class Windows:
                 await sending
 
     async def _replace(self, name: str) -> None:
-        """Close what is open under that name: a browser's duplicate of a window has the window's number also."""
+        """Close the windows open under that name: a duplicated browser tab has the same key."""
         for other in [window for window in self._open if window.name == name]:
             with contextlib.suppress(asyncio.TimeoutError, *Closed):
                 await asyncio.wait_for(other.socket.close(REPLACED, "this window was opened again"), CLOSE_S)
@@ -124,7 +124,7 @@ class Windows:
         self._exchange.wake = wake
 
     async def _hello(self, socket: WebSocket) -> PageWindow | None:
-        """The window that introduces itself; None for what does not."""
+        """The window, once it has sent its key; None for a connection that does not."""
         with contextlib.suppress(asyncio.TimeoutError, *Closed):
             message = await asyncio.wait_for(socket.receive(), HELLO_S)
             text = message.get("text") or ""
@@ -134,7 +134,7 @@ class Windows:
         return None
 
     def _name(self, key: str) -> str:
-        """The name of a window with that key, the same again after it reconnected."""
+        """The name of the window with that key; it stays the same after a reconnection."""
         if key not in self._names:
             if len(self._names) >= KNOWN_WINDOWS:
                 self._answered.pop(self._names.pop(next(iter(self._names))), None)
@@ -143,7 +143,7 @@ class Windows:
         return self._names[key]
 
     async def _receive(self, window: PageWindow) -> None:
-        """Take what the window sends until it goes."""
+        """Take the window's messages until it closes."""
         while True:
             message = await window.socket.receive()
             if message["type"] != "websocket.receive":
@@ -158,7 +158,7 @@ class Windows:
             self._take(window, act, now_s)
 
     def _take(self, window: PageWindow, act: Act, now_s: float) -> None:
-        """Pass one act on."""
+        """Pass one act on to the loop."""
         if now_s - window.heard_s >= HEARD_S:
             window.heard_s = now_s
             self._exchange.hear(window.name)
@@ -192,13 +192,13 @@ class Windows:
                 await window.socket.send_bytes(self._image(shown, shown.frame))
 
     def _takes_image(self, window: PageWindow, shown: Shown, now_s: float) -> bool:
-        """Whether there is a new image and the window shows the last one."""
+        """Whether there is a new image and the window has confirmed the last one."""
         if shown.frame is None or shown.frame.index == window.sent_frame:
             return False
         return window.waits_since_s is None or now_s - window.waits_since_s > IMAGE_TIMEOUT_S
 
     def _state(self, window: PageWindow, shown: Shown) -> str:
-        """The status for one window: the same for all, and the lines and replies that it has not had."""
+        """The status for one window: the part common to all, and the lines and replies that are new to it."""
         if self._status[0] is not shown:
             self._status = shown, json.dumps(shown.status, allow_nan=False)
         lines = [line for line in copied(self._exchange.lines) if line.n > window.seen_line]
