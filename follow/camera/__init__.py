@@ -1,6 +1,6 @@
 """Cameras: everything that yields frames behind the `Camera` seam (files, devices, streams, a window over footage).
 
-May import: messages, geometry, ranges and the tracker's library.  Knows nothing of vehicles but a VehicleState.
+May import: messages, geometry, ranges and the tracker's library.  All that it knows of a vehicle is a VehicleState.
 """
 
 from follow.camera.seam import Camera, CameraError

@@ -1,4 +1,4 @@
-"""A calibration board in an image: which of its corners are where, how sharp the image is, which views to keep."""
+"""A calibration board in an image: its corners, the image's sharpness, and which views to keep."""
 
 import math
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from follow.geometry import Array
 
-SEARCH_WIDTH = 1000  # pixels: a larger image is first searched at this width, which is faster where no board is
+SEARCH_WIDTH = 1000  # pixels: a larger image is first searched at this width, which is faster if there is no board
 FEWEST_CORNERS = 8  # of a ChArUco board that is partly hidden: a view has 6 unknowns
 PATCH_PX = 7  # around a corner, to both sides, for its sharpness
 WIDEST_EDGE_PX = 4.5  # dark to light at a corner; a sharp image has 1.5 to 3, OpenCV's guide asks for less than 3
@@ -97,7 +97,7 @@ class Board:
         if found is None:
             return None
         points, pixels = found
-        across: Any = cv2.findHomography(points[:, :2], pixels)[0]  # None if the points tell none
+        across: Any = cv2.findHomography(points[:, :2], pixels)[0]  # None for degenerate points
         if across is None:
             return None
         outline = cv2.perspectiveTransform(self._corners[None], across)[0]
@@ -128,12 +128,12 @@ class Board:
             return None
         points = self.points[np.asarray(numbers, np.int64).ravel()]
         if np.linalg.matrix_rank(points[:, :2] - points[0, :2]) < 2:
-            return None  # corners of one row do not tell the board's pose
+            return None  # corners of one row do not determine the board's pose
         return points, np.asarray(pixels, np.float32).reshape(-1, 2)
 
 
 def edge_width(grey: NDArray[np.uint8], pixels: NDArray[np.float32]) -> float:
-    """Median over corners of contrast / steepest slope, pixels: how wide an edge is, in the direction it is widest."""
+    """Median over corners of contrast / steepest slope, pixels: the width of an edge, in its worst direction."""
     widths: list[float] = []
     for x, y in pixels[:: max(1, len(pixels) // 24)]:
         column, row = round(float(x)), round(float(y))
@@ -150,13 +150,13 @@ def edge_width(grey: NDArray[np.uint8], pixels: NDArray[np.float32]) -> float:
 
 
 def diverse(views: Sequence[BoardView], size: tuple[int, int], most: int) -> list[BoardView]:
-    """At most `most` views that differ most in where and how the board lies: each is the farthest from those kept."""
+    """At most `most` views with the most different poses, by farthest-point sampling from the sharpest one."""
     if len(views) <= most:
         return list(views)
-    place = np.stack([(view.outline / size).ravel() for view in views])
+    outlines = np.stack([(view.outline / size).ravel() for view in views])
     kept = [int(np.argmin([view.edge_px for view in views]))]
-    away = np.linalg.norm(place - place[kept[0]], axis=1)
+    away = np.linalg.norm(outlines - outlines[kept[0]], axis=1)
     while len(kept) < most:
         kept.append(int(np.argmax(away)))
-        away = np.minimum(away, np.linalg.norm(place - place[kept[-1]], axis=1))
+        away = np.minimum(away, np.linalg.norm(outlines - outlines[kept[-1]], axis=1))
     return [views[n] for n in sorted(kept)]

@@ -1,6 +1,6 @@
 """A camera's calibration in a file: OpenCV's FileStorage YAML and ROS's camera_info, as a file or as a message.
 
-Both count a pixel's centre as a whole number; here a pixel's coordinate is its left edge, so the centre moves by 0.5.
+In both a pixel's centre has an integer coordinate; here its left edge has, so the principal point moves by 0.5.
 """
 
 import math
@@ -26,7 +26,7 @@ MODELS = {
     "equidistant": LensModel.FISHEYE,
     "fisheye": LensModel.FISHEYE,
 }
-"""Names of `distortion_model`: ROS's, and of OpenCV's two sets of functions; a file without a name is a pinhole's."""
+"""Names of `distortion_model`, from ROS and from OpenCV's two sets of functions; without a name it is a pinhole."""
 
 NAMES = {
     "matrix": ("cameramatrix", "k"),
@@ -40,7 +40,7 @@ NAMES = {
     "binning_y": ("binningy",),
     "roi": ("roi",),
 }
-"""What is read -> the keys under which programs write it, in lower case and without underscores."""
+"""Value -> the keys under which programs write it, in lower case and without underscores."""
 
 LABELS = {"matrix": "camera_matrix", "distortion": "distortion_coefficients", "size": "image size"}
 ROI = ("xoffset", "yoffset", "width", "height")
@@ -49,8 +49,8 @@ ROI = ("xoffset", "yoffset", "width", "height")
 def read_calibration(path: Path) -> Intrinsics:
     """The lens in a file, for images of the size that was calibrated.
 
-    Raises ValueError, in one sentence that names the file, for one that cannot be read, lacks something, or describes a
-    lens whose distortion is not one-to-one within the image.
+    Raises ValueError, naming the file, if it cannot be read, is incomplete, or describes a lens whose distortion is not
+    one-to-one within the image.
     """
     if not path.is_file():
         raise ValueError(f"camera.calibration {str(path)!r} is not a regular file")
@@ -185,7 +185,7 @@ def _document(data: bytes) -> Mapping[str, object]:
 
 
 def _for_opencv(text: str) -> str:
-    """The first document in the part of YAML that OpenCV reads: lists indented, nothing empty, no lines of comment."""
+    """The first document in OpenCV's subset of YAML: lists indented, no empty values, no comment lines."""
     lines = [line.rstrip() for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
     while lines and lines[0].startswith(("%YAML", "---")):
         lines.pop(0)
@@ -253,7 +253,7 @@ def _coefficients(given: Sequence[float], model: LensModel) -> tuple[float, ...]
 
 
 def _read_out(lens: Intrinsics, held: Mapping[str, object]) -> Intrinsics:
-    """The lens for the images that a ROS camera sends: the region of interest, then binned."""
+    """The lens for a ROS camera's images: cropped to the region of interest, then binned."""
     roi = _node(held, "roi")
     if isinstance(roi, dict):
         table = cast(dict[str, object], roi)

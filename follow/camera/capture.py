@@ -1,8 +1,8 @@
-"""One connection to a live source, by FFmpeg (PyAV): its newest images, each with the time at which its packet came.
+"""One connection to a live source, by FFmpeg (PyAV): its newest images, each with the arrival time of its packet.
 
-A thread does nothing but read packets and stamp their arrival, so that a decoder that is slower than the source
-cannot make old frames look new; what waits too long is passed over up to the next key frame.  A packet's arrival
-counts for its frame, however long the decoder keeps it.
+A thread only reads packets and stamps their arrival, so that a decoder that is slower than the source cannot make old
+frames look new; a backlog is skipped up to the next key frame.  A frame has its packet's arrival time, however long the
+decoder keeps it.
 """
 
 import queue
@@ -28,19 +28,19 @@ from racf.video import ANY_TEXT, deinterlacer, filtered, to_bgr
 
 OPEN_S = 10.0  # connection timeout
 SILENT_S = 2.0  # read timeout for a sender that died; the gate has stopped by then (0.2 s and 1 s)
-WAITING_PACKETS = 3  # behind by more, images are decoded but not converted, and a later key frame is jumped to
-MOST_PACKETS = 300  # waiting: 10 s at 30 frames/s; then all are dropped up to the next key frame
+WAITING_PACKETS = 3  # with a longer queue, images are decoded but not converted, and decoding skips to a key frame
+MOST_PACKETS = 300  # longest queue, 10 s at 30 frames/s; beyond it all are dropped up to the next key frame
 UNSTAMPED = frozenset({"mpjpeg", "mjpeg", "h264", "hevc", "rawvideo", "m4v", "image2pipe", "jpeg_pipe"})
 HELD_PACKETS = {"mpegts": 2, "h264": 1, "hevc": 1, "mjpeg": 1, "m4v": 1, "rtsp": 1, "sdp": 1, "rtp": 1}
-"""By format: how many more packets FFmpeg reads before it gives one, because only the next one's beginning ends it.
+"""By format: how many more packets FFmpeg reads before it returns one, because only the next one's start ends it.
 
-Of a transport stream both the packet (PES) and then the coded frame end so.  A frame came when the packet was read that
-is as many before its own.
+In a transport stream this holds for the packet (PES) and for the coded frame.  So a frame's arrival is the time at
+which the packet was read that is this many before the one returned.
 """
 WHOLE_IN_RTP = frozenset({"mjpeg"})  # codecs whose frame a marker ends in RTP
 LOW_DELAY = 0x80000  # AV_CODEC_FLAG_LOW_DELAY
 QUICK = {"fflags": "nobuffer", "flags": "low_delay", "analyzeduration": "500000", "fpsprobesize": "0"}
-MAX_DELAY_US = "50000"  # RTP: how long a packet is waited for that another overtook; FFmpeg's default is 0.5 s
+MAX_DELAY_US = "50000"  # RTP: timeout for a reordered packet; FFmpeg's default is 0.5 s
 
 Image = NDArray[np.uint8]
 
@@ -52,7 +52,7 @@ class Capture(Protocol):
     shrink: int
 
     def images(self) -> Iterator[tuple[Image, float | None]]:
-        """Yield each image with our time at which it was taken, or None where that cannot be told.
+        """Yield each image with the time at which it was taken on our clock, or None if that is unknown.
 
         Raises CameraError, which says why, when the source breaks.
         """
@@ -63,13 +63,13 @@ class Capture(Protocol):
         ...
 
     def close(self) -> None:
-        """Give the source back; called by the thread that reads."""
+        """Release the source; called by the thread that reads."""
         ...
 
 
 @dataclass(slots=True)
 class _Packets:
-    """What the reading thread hands over: packets with their arrival, then why it ended."""
+    """The reading thread's output: packets with their arrival, then the reason why it ended."""
 
     waiting: "queue.Queue[tuple[Any, float] | str]" = field(default_factory=queue.Queue)
     closing: threading.Event = field(default_factory=threading.Event)
@@ -78,8 +78,8 @@ class _Packets:
 class StreamCapture:
     """A device, stream or file that FFmpeg opens.
 
-    `taken` tells when a frame was taken, if not its stream's stamps or, without those, its rhythm; `clock` tells when
-    what was just read came.
+    `taken` computes when a frame was taken; by default the stream's stamps are used or, without stamps, the period of
+    arrivals.  `clock` gives the arrival time of the data just read.
     """
 
     def __init__(
@@ -98,10 +98,10 @@ class StreamCapture:
         if not (context.width and context.height):
             container.close()
             raise CameraError("no image came: is it sending, and a key frame at least twice a second?")
-        context.thread_type = "SLICE"  # whole frames in threads would hold back one each
+        context.thread_type = "SLICE"  # frame threading would delay by one frame per thread
         if not context.has_b_frames:
             context.flags |= LOW_DELAY
-        # Without stamps each packet counts, also those that are passed over; with them each frame in its order.
+        # Without stamps the clock must see each packet, also skipped ones; with stamps each decoded frame, in order.
         self._rhythm = SteadyArrivals() if taken is None and container.format.name in UNSTAMPED else None
         self._taken: FrameClock = taken or StreamClock()
         self._arrivals: dict[int | None, float] = {}
@@ -112,7 +112,7 @@ class StreamCapture:
         self.size, self.shrink = (int(context.width), int(context.height)), 1
 
     def images(self) -> Iterator[tuple[Image, float | None]]:
-        """Yield each image that is not overtaken by many newer ones."""
+        """Yield each image, except while many newer ones are waiting."""
         self._reader = threading.Thread(target=self._read, name="camera packets", daemon=True)
         self._reader.start()
         waiting = self._packets.waiting
@@ -125,7 +125,7 @@ class StreamCapture:
             try:
                 decoded = self._stream.codec_context.decode(packet)
             except av.error.FFmpegError:
-                continue  # a damaged packet: the next key frame heals it
+                continue  # a damaged packet: decoding recovers at the next key frame
             for frame in decoded:
                 for shown in self._deinterlaced(frame):
                     taken_t_s = self._taken_at(shown)
@@ -155,7 +155,7 @@ class StreamCapture:
         self._packets.waiting.put(why)
 
     def _came(self, t_s: float) -> float:
-        """The arrival of a packet, or without stamps when its frame was taken; NEVER: that cannot be told."""
+        """The arrival of a packet, or without stamps the time when its frame was taken; NEVER: unknown."""
         if self._rhythm is None:
             return t_s
         taken_t_s = self._rhythm.taken_at(0.0, t_s)
@@ -166,7 +166,7 @@ class StreamCapture:
             self._packets.waiting.get_nowait()
 
     def _later_key_frame(self, packet: Any, arrived_t_s: float) -> tuple[Any, float]:
-        """The newest waiting key frame, with all before it passed over; the given packet if none waits."""
+        """The newest waiting key frame, skipping all packets before it; the given packet if no key frame waits."""
         held = [(packet, arrived_t_s)]
         while not self._packets.waiting.empty():
             item = self._packets.waiting.get_nowait()
@@ -221,13 +221,13 @@ def held_packets(format_: str, codec: str) -> int:
 
 
 class KernelClock:
-    """V4L2's stamps are the kernel's own, of the moment the frame began to arrive, on our clock or on none."""
+    """V4L2's stamps are the kernel's, of the start of the frame's transfer, on our clock or on an unknown one."""
 
     def __init__(self) -> None:
         self._stream = StreamClock()
 
     def taken_at(self, stamp_s: float, t_s: float) -> float | None:
-        """The stamp itself if it is a time of our clock that has just been, else as for a stream."""
+        """The stamp itself if it is a recent time on our clock, else the same as for a stream."""
         return stamp_s if 0 <= t_s - stamp_s < SILENT_S else self._stream.taken_at(stamp_s, t_s)
 
 

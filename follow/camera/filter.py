@@ -11,7 +11,7 @@ C = TypeVar("C", bound=Camera)
 
 
 class CameraFilter(Generic[C]):
-    """What changes another camera's frames on their way; entering and leaving it enters and leaves that camera."""
+    """A camera that changes another camera's frames; entering and leaving it enters and leaves that camera."""
 
     def __init__(self, camera: C) -> None:
         self._camera = camera

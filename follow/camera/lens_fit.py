@@ -1,4 +1,4 @@
-"""A lens from views of a board, by OpenCV's calibration, with what says how far to believe it."""
+"""A lens from views of a board, by OpenCV's calibration, with its uncertainty."""
 
 import math
 from collections.abc import Sequence
@@ -17,12 +17,12 @@ FEWEST_VIEWS = 8  # six parameters a view, and nine of the lens; OpenCV's guide 
 TILTED = 0.06  # keystone of a board tilted by some 15 degrees that takes a third of the view
 FEWEST_TILTED = 4  # without tilt a longer lens and a farther board look the same
 CELLS = (8, 5)  # of the image, for its coverage
-LEAST_COVERAGE = 0.4  # beyond the corners the distortion is a guess
+LEAST_COVERAGE = 0.4  # outside the observed corners the distortion is an extrapolation
 GOOD_COVERAGE = 0.7
-GROUPS = 4  # each left out once: how much the lens changes is its uncertainty (jackknife)
-FOCAL_STD = 0.02  # relative: more is no calibration
-OUTLIER = 3.0  # times the median error of a view: it was blurred or the board bent
-ROUNDS = 3  # of leaving outliers out
+GROUPS = 4  # jackknife: each is left out once, and the change of the lens is its uncertainty
+FOCAL_STD = 0.02  # largest relative deviation of a usable calibration
+OUTLIER = 3.0  # times the median error of a view: the image was blurred or the board bent
+ROUNDS = 3  # of removing outliers
 
 
 class LensKind(str, Enum):
@@ -52,11 +52,11 @@ class LensFit:
 
 
 class CalibrationError(ValueError):
-    """The views do not tell the lens; the message says why and what to do."""
+    """The views do not determine the lens; the message says why and what to do."""
 
 
 def fit_lens(views: Sequence[BoardView], size: tuple[int, int], kind: LensKind) -> LensFit:
-    """The lens of `size` (width, height) images.  Raises CalibrationError for views that do not tell it."""
+    """The lens of `size` (width, height) images.  Raises CalibrationError for views that do not determine it."""
     require_views(views, size)
     kept = without_outliers(views, size, kind)
     lens, residuals = solved(kept, size, kind)

@@ -1,4 +1,4 @@
-"""Live cameras: a thread reads one, only its newest frame is kept, and a source that breaks is opened again."""
+"""Live cameras: a thread reads the source and keeps only the newest frame; a source that breaks is opened again."""
 
 import threading
 import time
@@ -20,16 +20,16 @@ from follow.messages import NEVER, Frame, Notify
 
 ROUND_S = 1 / 20  # a round at least this often; PX4 drops OFFBOARD below 2 Hz, 20 Hz is MAVLink's usual rate
 REOPEN_AFTER_S = 1.0  # pause before a broken source is tried again
-CLOSE_S = 3.0  # for a reader to end; a program gets 1 s before it is killed
+CLOSE_S = 3.0  # timeout for the reading thread to end; a program gets 1 s before it is killed
 
 
 class LiveVideo:
-    """A live camera, as `follow.camera.names` writes it.  Raises CameraError if it cannot be opened.
+    """A live camera, named as in `follow.camera.names`.  Raises CameraError if it cannot be opened.
 
-    A frame bears the time at which it was taken as far as that is known: by the kernel or the sensor, by a stream's
-    stamps (what one frame came later than the others), else by its arrival.  `delay_s`, which exposure, encoding and
-    the way take of every frame, is taken off.  `size` is the width and height of its frames; `scale` pixels of the
-    source are one of theirs.
+    A frame has the time at which it was taken, as far as that is known: from the kernel or the sensor, from a stream's
+    stamps (the extra delay of single frames), else from its arrival.  `delay_s`, the delay of exposure, encoding and
+    transport common to all frames, is subtracted.  `size` is the width and height of its frames; one of their pixels is
+    `scale` pixels of the source.
     """
 
     def __init__(
@@ -63,7 +63,7 @@ class LiveVideo:
             yield frame
 
     def _read(self) -> None:
-        """The thread: read until the source breaks, say so once, open it again."""
+        """The reading thread: read until the source breaks, report that once, open it again."""
         while not self._closing.is_set():
             try:
                 self._capture = self._capture or open_capture(self._name, self._clock)
@@ -99,7 +99,7 @@ class LiveVideo:
                 self._fresh.notify()
 
     def _tell(self, line: str) -> None:
-        """Report trouble once until frames come again."""
+        """Report trouble once until frames arrive again."""
         if not self._troubled and not self._closing.is_set():
             self._report(line)
         self._troubled = True
@@ -107,11 +107,11 @@ class LiveVideo:
     def _give_back(self) -> None:
         capture, self._capture = self._capture, None
         if capture is not None:
-            with suppress(Exception):  # what broke may not close either
+            with suppress(Exception):  # closing a broken source may also fail
                 capture.close()
 
     def close(self) -> None:
-        """Stop reading; a reader stuck in its driver is left behind."""
+        """Stop reading; a thread stuck in its driver is left running."""
         self._closing.set()
         capture = self._capture
         if capture is not None:

@@ -1,11 +1,11 @@
-"""What `--camera` takes: devices, streams, programs, each with its options.
+"""The values of `--camera`: devices, streams, programs, each with its options.
 
 /dev/video0?size=1280x720&fps=30&format=mjpeg    a V4L2 device with its mode; 0 is /dev/video0
 rtsp://HOST/PATH#transport=udp                   a stream; its options follow `#`, because `?` belongs to the server
 udp://:5600  http://HOST/PATH  FILE.sdp          MPEG transport stream, MJPEG over HTTP, RTP as an SDP file says
-exec?format=yuv420p&size=640x360&fps=30:PROGRAM  what a program writes to standard output
+exec?format=yuv420p&size=640x360&fps=30:PROGRAM  a program's standard output
 picamera2?size=1280x720&fps=30                   a Raspberry Pi's camera by picamera2
-lavfi:testsrc=size=640x360:rate=30               a source of FFmpeg's, to try things with
+lavfi:testsrc=size=640x360:rate=30               a test source of FFmpeg
 """
 
 import re
@@ -39,7 +39,7 @@ OPTIONS: dict[CameraKind, tuple[str, ...]] = {
     CameraKind.PICAMERA2: ("size", "fps", "camera"),
     CameraKind.LAVFI: (),
 }
-"""The options of each kind; those of a stream and an SDP file but `transport` have FFmpeg's names and meaning."""
+"""The options of each kind; those of a stream and an SDP file, except `transport`, have FFmpeg's names and meaning."""
 TRANSPORTS = ("tcp", "udp", "udp_multicast", "http")  # FFmpeg's rtsp_transport
 RAW_FORMATS = ("yuv420p", "nv12", "yuyv422", "uyvy422", "rgb24", "bgr24", "gray")  # a program's, need size and fps
 SCHEMES = frozenset({"rtsp", "rtsps", "udp", "tcp", "http", "https", "rtp", "rtmp", "srt"})
@@ -49,7 +49,7 @@ _PROGRAM = re.compile(r"^exec(\?[^:]*)?:(.*)$", re.DOTALL)
 
 @dataclass(frozen=True, slots=True)
 class CameraName:
-    """A live camera: its kind, where it is (path, URL, command line, graph), and its options as they were typed."""
+    """A live camera: its kind, its address (path, URL, command line, graph), and its options as they were typed."""
 
     text: str
     kind: CameraKind
@@ -95,7 +95,7 @@ def _kind(source: str) -> CameraKind | None:
 
 
 def parse_camera(source: str) -> CameraName:
-    """The camera that a name says.  Raises CameraError for a name or an option that no camera has."""
+    """Parse the name of a camera.  Raises CameraError for an invalid name or option."""
     kind = _kind(source)
     if kind is None:
         raise CameraError(f"{source!r} is not a live camera")
@@ -125,7 +125,7 @@ def _options(source: str, kind: CameraKind, query: str) -> dict[str, str]:
 
 
 def _check(name: CameraName) -> None:
-    """Raise CameraError for a value that cannot be."""
+    """Raise CameraError for an invalid value."""
     rules = {
         "size": (r"[1-9][0-9]{0,4}x[1-9][0-9]{0,4}", "WIDTHxHEIGHT in pixels"),
         "fps": (r"[1-9][0-9]{0,3}(\.[0-9]+)?", "a number of frames per second"),

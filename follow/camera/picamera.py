@@ -1,4 +1,4 @@
-"""A Raspberry Pi's camera by picamera2, where that is installed; nothing of it is imported otherwise."""
+"""A Raspberry Pi's camera by picamera2, which is imported only if this camera is used."""
 
 import importlib
 import time
@@ -14,7 +14,7 @@ from follow.camera.names import CameraName
 
 SIZE = (1280, 720)
 FPS = 30.0
-BUFFERS = 3  # one filled, one waiting, one with us: fewer drop frames, more only hold memory
+BUFFERS = 3  # one being filled, one waiting, one in use: fewer drop frames, more only take memory
 MOST_AGE_S = 5.0  # a sensor's stamp further back is of another clock
 
 
@@ -45,7 +45,7 @@ class PicameraCapture:
         self.size = tuple(self._camera.camera_configuration()["main"]["size"])
 
     def images(self) -> Iterator[tuple[NDArray[np.uint8], float | None]]:
-        """Yield each frame with the middle of its exposure in our time."""
+        """Yield each frame with the middle of its exposure on our clock."""
         while True:
             try:
                 request = self._camera.capture_request()
@@ -60,7 +60,7 @@ class PicameraCapture:
                 request.release()
 
     def _taken_at(self, metadata: dict[str, Any]) -> float:
-        """SensorTimestamp is when the first row was read out, in ns of the clock that runs while the board sleeps."""
+        """SensorTimestamp is when the first row was read out, in ns of CLOCK_BOOTTIME."""
         now_t_s = self._clock()
         if "SensorTimestamp" not in metadata:
             return now_t_s
@@ -69,9 +69,9 @@ class PicameraCapture:
         return now_t_s - age_s if 0 <= age_s < MOST_AGE_S else now_t_s
 
     def interrupt(self) -> None:
-        """Nothing to do: the next frame ends it."""
+        """Do nothing: `images` ends with the next frame."""
 
     def close(self) -> None:
-        """Give the camera back."""
+        """Release the camera."""
         self._camera.stop()
         self._camera.close()

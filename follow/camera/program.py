@@ -1,7 +1,7 @@
 """A program's standard output as a camera: rpicam-vid, nvgstcapture, gst-launch, ffmpeg, libcamera-vid.
 
-The program gets its own session, so that Ctrl-C in the terminal reaches only us; it is ended with the camera, and if we
-are killed it loses its pipe (SIGPIPE).
+The program gets its own session, so that Ctrl-C in the terminal reaches only us; it is ended with the camera, and if
+this process is killed, SIGPIPE ends it.
 """
 
 import contextlib
@@ -28,26 +28,26 @@ from follow.camera.stream_clock import SteadyArrivals
 from racf.video import ANY_TEXT, to_bgr
 
 CHUNK = 1 << 20  # bytes in one read at most: a pipe holds 64 KiB unless it was made larger
-USUAL_PIPE = 1 << 16  # bytes that a pipe holds where the system does not tell
-LONGEST_LINE = 4096  # bytes; a longer line of error, as of progress without a line feed, is taken in pieces
+USUAL_PIPE = 1 << 16  # assumed capacity of a pipe, bytes, if the system does not report it
+LONGEST_LINE = 4096  # bytes; a longer line of error, such as progress without a line feed, is read in pieces
 MOST_SAID = 300  # characters of it that are shown
-END_S = 1.0  # after SIGTERM, before SIGKILL
+END_S = 1.0  # grace period between SIGTERM and SIGKILL
 SOI = b"\xff\xd8"  # JPEG's start of image
 JPEG_END = re.compile(rb"\xff\xd9\0*(?=\xff\xd8|\Z)")
-"""JPEG's end of image, with the zeros that some encoders pad it with, before another image or the end of what came.
+"""JPEG's end of image, with the zeros that some encoders pad it with, before another image or the end of the data.
 
 Within the coded data 0xff is followed by 0x00 or a restart marker; a thumbnail's end is followed by another marker.
 """
-LOOK_BACK = 64  # bytes of an end that may have come with the read before
+LOOK_BACK = 64  # bytes before the new data that are searched again: an end marker may be split between two reads
 MOST_JPEG = 16_000_000  # bytes of one image: 3840x2160 of the best quality takes 10 MB
 BARE_FPS = "30"  # a bare stream's nominal rate: its stamps are not used
 
 
 class PipeArrivals:
-    """Bounds from below when what is read from a pipe came, so that a reader that is late does not make it newer.
+    """A lower bound on the arrival time of a pipe's data, so that a late reader does not make old data look new.
 
-    What a read had to wait for came then.  Else it came after the pipe was last empty; and after the byte that is
-    `holds` before its last one had been read, because the pipe has room for no more.
+    If a read had to wait, its data arrived then.  Otherwise they arrived after the pipe was last empty, and after the
+    byte `holds` before their last one was read, because the pipe cannot hold more.
     """
 
     def __init__(self, holds: int, t_s: float) -> None:
@@ -56,7 +56,7 @@ class PipeArrivals:
         self.came_t_s = t_s
 
     def read(self, count: int, emptied: bool, waited: bool, t_s: float) -> None:
-        """Note a read of `count` bytes that began at `t_s`; emptied: it took all there was."""
+        """Note a read of `count` bytes that began at `t_s`; emptied: it left the pipe empty."""
         self._reads.append((self._position, t_s))
         self._position += count
         bound_t_s = max(self.came_t_s, self._empty_t_s)
@@ -73,7 +73,7 @@ def _pipe_size(pipe: int) -> int:
 
 
 class RunningProgram:
-    """A program with its standard output as a file to read, its last line of error, and when what was read came."""
+    """A program with its standard output as a file, its last line of error, and the arrival time of its data."""
 
     def __init__(self, name: CameraName, clock: Callable[[], float]) -> None:
         self._name, self._clock = name, clock
@@ -95,7 +95,7 @@ class RunningProgram:
         self._peeked = b""
 
     def peek(self) -> bytes:
-        """The first bytes, which `read` gives again.  Raises CameraError when nothing comes."""
+        """The first bytes, which `read` returns again.  Raises CameraError after the timeout."""
         self._peeked = self._peeked or self._from_pipe(CHUNK)
         return self._peeked
 
@@ -107,7 +107,7 @@ class RunningProgram:
                 self.last_error = next(part for part in reversed(said) if part)[:MOST_SAID]
 
     def read(self, size: int) -> bytes:
-        """What there is, at most `size` bytes; b"" at the end.  Raises CameraError when nothing comes."""
+        """The available data, at most `size` bytes; b"" at the end.  Raises CameraError after the timeout."""
         if self._peeked:
             data, self._peeked = self._peeked[:size], self._peeked[size:]
             return data
@@ -117,25 +117,25 @@ class RunningProgram:
         waited = not select.select([self._output], [], [], 0.0)[0]
         if waited and not select.select([self._output], [], [], self.timeout_s)[0]:
             raise CameraError(f"nothing came for {self.timeout_s:g} s{self.said()}")
-        now_t_s = self._clock()  # before the read: what comes from now on is newer
+        now_t_s = self._clock()  # taken before the read: data that arrive later are newer
         data = os.read(self._output, min(size, CHUNK))
         self._arrivals.read(len(data), len(data) < min(size, CHUNK), waited, now_t_s)
         return data
 
     @property
     def read_t_s(self) -> float:
-        """The earliest time at which what was last read can have come."""
+        """The earliest time at which the data last read can have arrived."""
         return self._arrivals.came_t_s
 
     def said(self) -> str:
-        """How it ended and its last line of error, to be put behind a reason."""
+        """How it ended and its last line of error, to append to a reason."""
         status = self._process.poll()
         self._listener.join(timeout=0.2 if status is not None else 0.0)
         ended = f"; the program ended with status {status}" if status is not None else ""
         return ended + (f": {self.last_error}" if self.last_error else "")
 
     def wait_end(self) -> None:
-        """Wait shortly for a program that has closed its output."""
+        """Wait up to END_S for a program that has closed its output."""
         end_s = time.monotonic() + END_S
         while self._process.poll() is None and time.monotonic() < end_s:
             time.sleep(0.01)
@@ -154,10 +154,10 @@ class RunningProgram:
                 break
             self.wait_end()
             if self._process.poll() is not None and number is signal.SIGTERM:
-                continue  # what it started may still run
+                continue  # its child processes may still run
 
     def close(self) -> None:
-        """End the program, and close its pipes, which nobody must read any more."""
+        """End the program and close its pipes; no thread may read them any more."""
         self.end()
         for pipe in (self._process.stdout, self._process.stderr):
             if pipe is not None:
@@ -166,7 +166,7 @@ class RunningProgram:
 
 
 class ProgramCapture:
-    """A program whose output FFmpeg takes apart: H.264, H.265, raw images, or a container with stamps."""
+    """A program whose output FFmpeg demuxes: H.264, H.265, raw images, or a container with stamps."""
 
     def __init__(self, name: CameraName, program: RunningProgram) -> None:
         self._name, self._program = name, program
@@ -189,7 +189,7 @@ class ProgramCapture:
             raise CameraError(f"{getattr(error, 'strerror', None) or error}{said}") from None
 
     def images(self) -> Iterator[tuple[Image, float | None]]:
-        """Yield what the program writes until it ends."""
+        """Yield the program's images until it ends."""
         self._capture.shrink = self.shrink
         try:
             yield from self._capture.images()
@@ -210,7 +210,7 @@ class ProgramCapture:
 
 
 class JpegCapture:
-    """A program that writes JPEG after JPEG: each is whole with its end marker, not only when the next one begins."""
+    """A program that writes a series of JPEGs: each is complete at its end marker, without waiting for the next one."""
 
     def __init__(self, program: RunningProgram) -> None:
         self._program = program
@@ -230,7 +230,7 @@ class JpegCapture:
             taken_t_s = None
             for _ in ends:
                 taken_t_s = self._taken.taken_at(0.0, self._program.read_t_s)
-            # Of several that waited only the last is of use; one starts where another ended.
+            # Of several waiting images only the last is useful; it starts where the one before ended.
             newest = held[([0, *ends])[-2] : ends[-1]] if ends else b""
             held = held[ends[-1] :] if ends else held
             for image in self._image(newest):
@@ -240,7 +240,7 @@ class JpegCapture:
                 raise CameraError("it writes no JPEG that can be decoded")
 
     def _image(self, jpeg: bytes) -> Iterator[Image]:
-        """What can be decoded: one image or none."""
+        """The decoded image; nothing if it cannot be decoded."""
         try:
             frames = self._context.decode(av.Packet(jpeg)) if jpeg else []
         except av.error.FFmpegError:

@@ -1,4 +1,4 @@
-"""Filters between a camera and a vehicle that flies by it in real time."""
+"""Camera filters for flying in real time."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -16,7 +16,7 @@ COARSE = 16  # every 16th row and column tells most frames apart in microseconds
 
 
 class RealTime(CameraFilter[ReplayCamera]):
-    """A replayed camera in real time: each frame comes when it is due, and bears the time at which it came."""
+    """A replayed camera in real time: each frame is delivered when it is due, stamped with that time."""
 
     def __init__(self, footage: ReplayCamera, clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__(footage)
@@ -47,9 +47,9 @@ class RealTime(CameraFilter[ReplayCamera]):
 class NewPictures(CameraFilter[Camera]):
     """Drops frames that repeat the one before.
 
-    A camera, driver or encoder that froze may go on delivering its last frame with fresh times, and a vehicle that
-    turns with a target which no longer moves in the frame would turn for ever.  A living sensor's noise never gives
-    the same bytes twice.
+    A frozen camera, driver or encoder may go on delivering its last frame with fresh times.  The target then no longer
+    moves in the image, and the vehicle would turn towards it for ever.  A working sensor's noise never gives the same
+    bytes twice.
     """
 
     def frames(self) -> Iterator[Frame | None]:

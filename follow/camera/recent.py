@@ -1,4 +1,4 @@
-"""The last second or two of a camera: what a person who points at the image may have seen."""
+"""The last seconds of a camera: the frames on which a person may have drawn a selection."""
 
 from collections import deque
 from collections.abc import Iterator
@@ -7,7 +7,7 @@ from follow.camera.filter import CameraFilter
 from follow.camera.seam import Camera
 from follow.messages import Frame
 
-RECENT_S = 2.0  # as late as a person's box may come: reaction, drawing, video and radio
+RECENT_S = 2.0  # longest delay of a person's box: reaction, drawing, video and radio
 RECENT_BYTES = 256_000_000  # two seconds of 1280x720 at 30 Hz are 166 MB
 
 

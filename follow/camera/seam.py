@@ -1,4 +1,4 @@
-"""The Camera seam: something that yields frames."""
+"""The Camera seam: a source of frames."""
 
 from collections.abc import Iterator
 from types import TracebackType
@@ -13,7 +13,7 @@ class Camera(Protocol):
     """A source of frames.  Leaving the `with` block releases the device."""
 
     def frames(self) -> Iterator[Frame | None]:
-        """Yield each new frame in order, or None for a round in which none came in time.
+        """Yield each new frame in order, or None for a round in which none arrived in time.
 
         Ends when the source ends.  Raises CameraError when the source breaks.
         """
@@ -27,4 +27,4 @@ class Camera(Protocol):
 
 
 class CameraError(RuntimeError):
-    """A source of frames cannot be opened or broke; the message is one sentence for a person."""
+    """A source of frames cannot be opened, or it broke; the message is one sentence for a person."""

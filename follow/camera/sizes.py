@@ -1,4 +1,5 @@
-"""How large an image is tracked in: large sources are shrunk as they are decoded; boxes stay in source pixels outside.
+"""The image size for tracking: large sources are shrunk when they are decoded; outside the loop boxes are in source
+pixels.
 
 An image is shrunk by the largest whole number that leaves `LEAST_LENGTH_PX` along its longer side and
 `LEAST_TARGET_PX` across the target: 1920x1080 by 2, 3840x2160 by 4 for a target of 128 px or more, by 3 for 96 px.
@@ -9,7 +10,7 @@ from collections.abc import Callable
 from racf.box import Box
 
 LEAST_LENGTH_PX = 960  # half of 1080p; a 1280x720 camera is not shrunk
-LEAST_TARGET_PX = 32  # a search area of 5 times that is sampled in 150 to 200 px: no detail is lost above
+LEAST_TARGET_PX = 32  # a search area of 5 times that is sampled in 150 to 200 px, so no detail is lost
 
 Shrink = Callable[[tuple[int, int]], int]
 """Gives the whole number by which an image of (width, height) is shrunk."""

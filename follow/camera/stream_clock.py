@@ -1,4 +1,4 @@
-"""When a frame was taken, in our time, seen from a stream's own time stamps or from the rhythm of its arrivals."""
+"""When a frame was taken, on our clock: from a stream's own time stamps, or from the period of its arrivals."""
 
 from collections import deque
 from typing import Protocol
@@ -9,21 +9,21 @@ from follow.camera.seam import CameraError
 from follow.messages import NEVER
 
 SETTLE_S = 1.0  # FFmpeg buffers a stream while it probes it: 1.1 s of frames were then read in 0.3 s
-WINDOW_S = 10.0  # a stream later than before for this long has a longer path: no longer late
-LEARN_S = 1.0  # the rhythm of a stream without stamps is learned from the second after the first
-JITTER_S = 0.05  # by this much two arrivals may be early or late when the period is learned from them
+WINDOW_S = 10.0  # a stream that stays later for this long has a longer path, and no longer counts as late
+LEARN_S = 1.0  # the period of a stream without stamps is learned from the second after the first
+JITTER_S = 0.05  # jitter of two arrivals from which the period is learned
 MEMORY_S = 50.0  # the period is then known to 1 in 1000; a camera's crystal is off by 1 in 10,000 at most
-LATE_S = 0.1  # half of the gate's limit of a frame's age: later frames are no longer of use for long
-GIVE_UP_S = 3.0  # late for this long: a new connection is quicker than waiting for the backlog's end
-SAME_S = 1.0  # a lateness that is the same in two such spans is of lost frames: a queue grows or drains
-SAME = 0.005  # by at least this much of the time: links carry more than a stream needs, or less
+LATE_S = 0.1  # half of the gate's limit of a frame's age: later frames are soon useless
+GIVE_UP_S = 3.0  # late for this long: a new connection is quicker than waiting for the backlog to drain
+SAME_S = 1.0  # lateness that stays constant over two such spans comes from lost frames: a queue grows or drains
+SAME = 0.005  # ... by at least this fraction of the time, because a link is faster or slower than its stream
 
 
 class StreamClock:
-    """Maps a stream's own time stamps to ours by the frame that came soonest after its stamp.
+    """Maps a stream's own time stamps to our clock by the frame with the least delay after its stamp.
 
-    What every frame needs (exposure, encoding, the way) cannot be told from here; what one came later than the others
-    can, as those that pile up while a network stalls and then come at once.
+    The delay common to all frames (exposure, encoding, transport) cannot be measured here.  The extra delay of single
+    frames can, such as those that pile up while a network stalls and then arrive at once.
     """
 
     def __init__(self) -> None:
@@ -32,9 +32,9 @@ class StreamClock:
         self._delays: deque[tuple[float, float]] = deque()  # arrival, and time since the stamp; both grow from left
 
     def taken_at(self, stamp_s: float, t_s: float) -> float | None:
-        """Our time of a frame stamped `stamp_s` that came at `t_s`; None for the first second's, which waited."""
+        """Our time of a frame stamped `stamp_s` that arrived at `t_s`; None in the first second, which was buffered."""
         if stamp_s <= self._stamp_s:
-            self._delays.clear()  # the sender's clock restarted or stopped: earlier stamps say nothing
+            self._delays.clear()  # the sender's clock restarted or stopped: earlier stamps are useless
         self._stamp_s = stamp_s
         delay_s = t_s - stamp_s
         while self._delays and self._delays[-1][1] >= delay_s:
@@ -48,42 +48,42 @@ class StreamClock:
 
 
 class FrameClock(Protocol):
-    """Tells when a frame was taken from its stamp and its arrival."""
+    """Computes when a frame was taken, from its stamp and its arrival."""
 
     def taken_at(self, stamp_s: float, t_s: float) -> float | None:
-        """Our time of a frame stamped `stamp_s` that came at `t_s`; None: it cannot be told, do not use it."""
+        """Our time of a frame stamped `stamp_s` that arrived at `t_s`; None: unknown, do not use the frame."""
         ...
 
 
 class AsItComes:
-    """For a source that draws each frame when it is due: nothing can wait."""
+    """For a source that draws each frame when it is due: nothing can queue up."""
 
     def taken_at(self, stamp_s: float, t_s: float) -> float | None:
-        """The arrival."""
+        """The time of arrival."""
         return t_s
 
 
 class SteadyArrivals:
-    """For sources without stamps of their own (MJPEG over HTTP, a program's bare H.264): only the rhythm can tell.
+    """For sources without time stamps (MJPEG over HTTP, a program's bare H.264): only the period of arrivals is known.
 
-    A camera takes frames at a steady period; a queue on the way delivers them later, never sooner.  So a frame was
-    taken at most one period after the one before it, and not after it came:
+    A camera takes frames at a steady period; a queue on the path delivers them later, never sooner.  So a frame was
+    taken at most one period after the one before it, and not after its arrival:
 
         taken[n] = min(arrival[n], taken[n-1] + period)
 
-    What a frame is late by is a debt that only frames which come faster than the camera takes them pay back.  `period`
-    is the longest that the arrivals allow: the least, over all pairs of frames at least a second apart, of (taken[n] -
-    taken[m] + JITTER_S) / (n - m).  It never grows, so that neither a backlog nor an overload is learned as a rhythm.
-    Whoever uses this tells it of every frame, those that he drops included.
+    Lateness shrinks only while frames arrive faster than the camera takes them.  `period` is the longest that the
+    arrivals allow: the least, over all pairs of frames at least a second apart, of (taken[n] - taken[m] + JITTER_S) /
+    (n - m).  It never grows, so that neither a backlog nor an overload is learned as the period.  The caller must pass
+    every frame, also those that it drops.
 
-    Lateness that neither grows nor shrinks is not a queue's: the camera or the way lost frames, and it is forgiven.
+    Lateness that neither grows nor shrinks is not a queue's: the camera or the path lost frames, and it is subtracted.
     Frames that stay more than LATE_S late for GIVE_UP_S raise CameraError: a new connection empties every queue, and
-    learns the rhythm again, which may have become slower.
+    learns the period again, which may have become longer.
 
-    Law: if the way drops nothing, was empty when the rhythm was learned, and its queues grow or drain by 1 in 50 of the
-    time or more, no frame's age is understated by more than `most_understated_s`: 0.1 s for a backlog that lasts no
+    Law: if the path drops nothing, was empty when the period was learned, and its queues grow or drain by 1 in 50 of
+    the time or more, no frame's age is understated by more than `most_understated_s`: 0.1 s for a backlog that lasts no
     longer than the stream was watched before it, or 50 s.  It is overstated by a period for each lost frame until that
-    is forgiven.  What every frame waits from the start on is not seen.
+    is subtracted.  A delay that all frames have from the start cannot be measured.
     """
 
     def __init__(self) -> None:
@@ -97,9 +97,9 @@ class SteadyArrivals:
         self._late_since_t_s: float | None = None
 
     def taken_at(self, stamp_s: float, t_s: float) -> float | None:
-        """When the frame that came at `t_s` was taken; None for those of the first two seconds.
+        """When the frame that arrived at `t_s` was taken; None in the first two seconds.
 
-        Raises CameraError when the frames come too late for too long.
+        Raises CameraError when the frames are too late for too long.
         """
         if self._began_t_s is None:
             self._began_t_s = t_s
@@ -112,7 +112,7 @@ class SteadyArrivals:
         return self._taken_t_s
 
     def _learn(self, t_s: float) -> None:
-        """Keep the arrivals of the second after the first, then reckon the period from those that waited least."""
+        """Collect the arrivals of the second after the first, then compute the period from those that waited least."""
         assert self._began_t_s is not None
         if t_s - self._began_t_s < SETTLE_S:
             return
@@ -142,7 +142,7 @@ class SteadyArrivals:
                 self._marks.popleft()
 
     def _forgive(self, t_s: float) -> None:
-        """Take off the lateness that the frames of the last two SAME_S have in common, if it stayed the same."""
+        """Subtract the lateness common to the frames of the last two SAME_S, if it stayed constant."""
         self._lateness.append((t_s, t_s - self._taken_t_s))
         if t_s - self._lateness[0][0] < 2 * SAME_S:
             return
@@ -167,7 +167,7 @@ class SteadyArrivals:
 def most_understated_s(watched_s: float, backlog_s: float) -> float:
     """By how much `SteadyArrivals` may understate an age in a backlog that has lasted `backlog_s`, s.
 
-    watched_s: for how long the stream was watched before it, s, from when its rhythm was learned.
+    watched_s: how long the stream was watched before the backlog, s, since its period was learned.
     """
     known_s = max(min(watched_s, MEMORY_S), LEARN_S)
     return 2 * JITTER_S * max(backlog_s / known_s, 1.0)

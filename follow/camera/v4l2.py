@@ -1,4 +1,4 @@
-"""The modes of a V4L2 device, by its own ioctls (linux/videodev2.h), so that an unknown one is answered with them."""
+"""The modes of a V4L2 device, by its ioctls (linux/videodev2.h), for the error message about an unsupported mode."""
 
 import errno
 import fcntl
@@ -66,7 +66,7 @@ def modes_of(path: str, ioctl: Ioctl = fcntl.ioctl) -> list[CameraMode]:
 def check_mode(
     path: str, modes: list[CameraMode], format_: str | None, size: tuple[int, int] | None, fps: float | None
 ) -> None:
-    """Raise CameraError, naming the modes there are, if none fits; a device that lists no modes is not judged."""
+    """Raise CameraError, naming the supported modes, if none fits; a device that lists no modes is not checked."""
     fitting = [
         mode
         for mode in modes

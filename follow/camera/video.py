@@ -1,8 +1,8 @@
 """Cameras that read footage: an image folder or a video file.
 
-Each frame bears the time of its own stamp (a folder's, its number over the rate).  A hole in time is filled with rounds
-without a frame, at the nominal rate, so that the loop goes on as it does while a live camera gives none.  What is
-missing is counted and reported in one line at the end.
+Each frame has the time of its own stamp (in a folder: its number over the rate).  A gap in time is filled with rounds
+without a frame, at the nominal rate, so that the loop goes on as with a live camera.  Missing frames are counted and
+reported in one line at the end.
 """
 
 import re
@@ -24,7 +24,7 @@ from racf.errors import VideoError
 from racf.imagefolder import IMAGE_SUFFIXES, image_paths, positions
 from racf.video import LONGEST_GAP_S, MissingFrames, Video
 
-FOLDER_FPS = 30.0  # image folders seldom say; the commonest rate of the published UAV sequences
+FOLDER_FPS = 30.0  # default of an image folder: the commonest rate of the published UAV sequences
 
 
 class ReplayCamera(Camera, Protocol):
@@ -58,13 +58,13 @@ def open_replay(source: str, fps: float | None, report: Notify, shrink: Shrink =
 
 
 def named_fps(folder: Path) -> float | None:
-    """The rate that a folder's path tells, as in UAV123_10fps/building5; None if it tells no rate."""
-    told = re.findall(r"(?<![0-9])([1-9][0-9]{0,2}) ?fps", str(folder.resolve()), re.IGNORECASE)
-    return float(told[-1]) if told else None
+    """The rate in a folder's path, as in UAV123_10fps/building5; None if it holds no rate."""
+    rates = re.findall(r"(?<![0-9])([1-9][0-9]{0,2}) ?fps", str(folder.resolve()), re.IGNORECASE)
+    return float(rates[-1]) if rates else None
 
 
 class _Footage:
-    """What both kinds share: the time of the present round, and one line about what is missing."""
+    """Shared by both kinds: the time of the present round, and one line about missing frames."""
 
     def __init__(self, name: str, fps: float, report: Notify, missing: MissingFrames) -> None:
         self.name, self.fps, self.t_s = name, fps, 0.0
@@ -94,7 +94,7 @@ class _Footage:
 
 
 class ImageFolder(_Footage):
-    """The images of a folder in natural order; a hole in their numbers is rounds without a frame."""
+    """The images of a folder in natural order; a gap in their numbers gives rounds without a frame."""
 
     def __init__(self, folder: Path, fps: float, report: Notify, shrink: Shrink = whole) -> None:
         super().__init__(folder.resolve().name, fps, report, MissingFrames())
@@ -152,7 +152,7 @@ class VideoFile(_Footage):
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of its images, turned as the file says."""
+        """Width and height of its images, rotated as the file says."""
         return self._video.size
 
     def frames(self) -> Iterator[Frame | None]:

@@ -45,13 +45,13 @@ class WindowCamera(CameraFilter[Camera]):
         return Intrinsics(w, h, self._full.fx, self._full.fy, w / 2, h / 2)
 
     def frames(self) -> Iterator[Frame | None]:
-        """Yield the window of each frame; `window` then says where in the frame it lies."""
+        """Yield the window of each frame; `window` is then its position in the frame."""
         for frame in self._camera.frames():
             self.window = self._place()
             yield frame and replace(frame, image=cut(frame.image, self.window))
 
     def _place(self) -> Box:
-        """Where the window lies now, on whole pixels."""
+        """The window's present position, in whole pixels."""
         state = self._state()
         yaw = math.remainder(state.yaw_rad - self._yaw_rad, math.tau)
         dip = (state.down_m - self._down_m) / self._range_m

@@ -15,7 +15,7 @@ CHANNELS = ("forward_m_s", "right_m_s", "down_m_s", "yaw_rate_rad_s")
 
 @dataclass(slots=True)
 class Difference:
-    """Counts the rounds whose outcome is not the recorded one, to the last bit."""
+    """Counts the rounds whose outcome differs from the recorded one in any bit."""
 
     total: int
     compared: int = 0
@@ -66,16 +66,16 @@ def comparison(flight: Path, again: Path, result: str, changed: Mapping[str, tup
 
 
 def setpoints(before: FlightTable, after: FlightTable) -> list[tuple[str, float, float, float, float]]:
-    """Root mean squares of each channel, and of how far the two are apart where both exist."""
+    """Root mean squares of each channel, and of the difference where both exist."""
     rows: list[tuple[str, float, float, float, float]] = []
     count = min(len(before.t_s), len(after.t_s))
     for kind in ("desired", "setpoint"):
         for channel in CHANNELS:
             old, new = before.numbers(f"{kind}_{channel}")[:count], after.numbers(f"{kind}_{channel}")[:count]
-            apart = np.abs(new - old)
-            largest = float(np.nanmax(apart)) if np.isfinite(apart).any() else np.nan
+            difference = np.abs(new - old)
+            largest = float(np.nanmax(difference)) if np.isfinite(difference).any() else np.nan
             name = f"{'sent' if kind == 'setpoint' else kind}, {channel}"
-            rows.append((name, _rms(old), _rms(new), _rms(apart), largest))
+            rows.append((name, _rms(old), _rms(new), _rms(difference), largest))
     return rows
 
 

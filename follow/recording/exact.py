@@ -1,10 +1,10 @@
-"""`messages.jsonl.gz`: what flowed into estimate, servo and gate, to the last bit, so that it can flow again.
+"""`messages.jsonl.gz`: the exact inputs of estimate, servo and gate, for `follow refly`.
 
-Lines of JSON in a gzip stream.  The first line says what was flown with (`Setup`), each other one is a round of the
-loop: its frame's time and number, the track, the vehicle's state (only what changed since the round before), the
-image's motion, the operator's instruction, and a digest of what came out.  Lines that a person was told are between
-them.  A number is written so that it reads back to the same 64 bits.  The stream is flushed once a second: the file of
-a killed flight reads to there.
+Lines of JSON in a gzip stream.  The first line holds the flight's `Setup`, each other one a round of the loop: its
+frame's time and number, the track, the vehicle's state (only the fields that changed since the round before), the
+image's motion, the operator's instruction, and a digest of the outputs.  Messages to a person are between them.  Each
+number reads back to the same 64 bits.  The stream is flushed once a second: the file of a killed flight is readable up
+to there.
 """
 
 import contextlib
@@ -30,15 +30,15 @@ VERSION = 1
 FLUSH_EVERY_S = 1.0
 GZIP = 31  # zlib's window bits for a gzip stream
 SEEN = ("box", "search", "psr", "apce", "confidence", "found", "refined", "restarted")
-"""Of a track; the rest is for display."""
+"""The recorded fields of a track; the others are for display."""
 
 
 @dataclass(frozen=True, slots=True)
 class Setup:
-    """What a flight was flown with.
+    """The camera and the settings of a flight.
 
     lens, down_rad: the camera and its angle below the nose; settings: the whole resolved tree as TOML; moves_view:
-    None, or for footage whether the view moved with the vehicle (`follow.control.footage`); about: the flight in words.
+    None, or for footage whether the view moved with the vehicle (`follow.control.footage`); about: a description.
     """
 
     lens: Intrinsics
@@ -50,7 +50,7 @@ class Setup:
 
 @dataclass(frozen=True, slots=True)
 class Round:
-    """What went into one round, and a digest of what came out."""
+    """The inputs of one round, and a digest of its outputs."""
 
     state: VehicleState
     frame: tuple[float, int] | None = None  # time and number
@@ -110,7 +110,7 @@ class ExactWriter:
                 self._file.write(self._gzip.flush(zlib.Z_SYNC_FLUSH))
 
     def message(self, t_s: float, text: str) -> None:
-        """Write one line that a person was told, `t_s` after the first round."""
+        """Write one message to a person, `t_s` after the first round."""
         self._put({"said": text, "t_s": t_s})
 
     def close(self) -> None:
@@ -134,7 +134,7 @@ def digest(tick: Tick) -> str:
 
 
 def read_setup(path: Path) -> Setup:
-    """What a flight was flown with.  Raises OSError, ValueError if the file holds no such thing."""
+    """The setup of a flight.  Raises OSError, ValueError if the file does not hold one."""
     return _setup(path, next(_lines(path), {}))
 
 
@@ -171,7 +171,7 @@ def read_exact(path: Path) -> ExactFlight:
 
 
 def read_said(path: Path) -> list[tuple[float, str]]:
-    """Time and text of each line that a person was told; empty if the file is missing or is not such a file."""
+    """Time and text of each message to a person; empty if the file is missing or is not such a file."""
     try:
         return [(float(line["t_s"]), str(line["said"])) for line in _lines(path) if "said" in line]
     except (OSError, ValueError, KeyError, TypeError):
@@ -190,7 +190,7 @@ def _setup(path: Path, line: dict[str, Any]) -> Setup:
 
 
 def _lines(path: Path) -> Iterator[dict[str, Any]]:
-    """Each whole line of a file that may end anywhere."""
+    """Each complete line of a file that may be truncated anywhere."""
     unzip = zlib.decompressobj(wbits=GZIP)
     rest, lines = b"", 0
     with path.open("rb") as file:
@@ -210,11 +210,11 @@ def _lines(path: Path) -> Iterator[dict[str, Any]]:
             if broken is not None:
                 if not lines:
                     raise ValueError(f"{path} is not a gzip file: {broken}") from None
-                return  # behind the last flush: what a power cut left, as zeros
+                return  # garbage after the last flush, such as the zeros that a power cut leaves
 
 
 def _until_broken(unzip: Any, data: bytes) -> bytes:
-    """What comes out of the bytes before the one that does not belong to the stream."""
+    """The text of the bytes before the first invalid one."""
     text = b""
     with contextlib.suppress(zlib.error):
         for n in range(len(data)):
@@ -223,7 +223,7 @@ def _until_broken(unzip: Any, data: bytes) -> bytes:
 
 
 def plain(value: object) -> object:
-    """A message as JSON holds it: dataclasses as objects, enums as their values, tuples as lists."""
+    """A message for JSON: dataclasses as objects, enums as their values, tuples as lists."""
     if is_dataclass(value) and not isinstance(value, type):
         return {f.name: plain(getattr(value, f.name)) for f in fields(value)}
     if isinstance(value, Enum):
@@ -232,7 +232,7 @@ def plain(value: object) -> object:
 
 
 def revive(kind: type[Any], value: Mapping[str, object]) -> Any:
-    """The dataclass of that kind that `plain` was given; a field that is missing has its default."""
+    """The inverse of `plain` for a dataclass of that kind; a missing field gets its default."""
     hints = get_type_hints(kind)
     return kind(**{f.name: _revived(hints[f.name], value[f.name]) for f in fields(kind) if f.name in value})
 

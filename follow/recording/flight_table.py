@@ -1,4 +1,4 @@
-"""A recorded flight read back: the columns of `ticks.csv` as arrays, and what follows from them for a page."""
+"""A recorded flight read back: the columns of `ticks.csv` as arrays, and what reports derive from them."""
 
 import csv
 import itertools
@@ -17,7 +17,7 @@ NUMBER = re.compile(r"-?\d+(\.\d+)?")
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """Something that lasted: from `start_s` to `end_s`, with what it was and why."""
+    """An interval from `start_s` to `end_s`, with what it was and why."""
 
     start_s: float
     end_s: float
@@ -37,10 +37,10 @@ class FlightTable:
         path = folder / "ticks.csv"
         try:
             with path.open(newline="", encoding="utf-8", errors="replace") as file:
-                whole = list(csv.reader(line.replace("\0", "") for line in file))  # zeros: what a power cut leaves
+                whole = list(csv.reader(line.replace("\0", "") for line in file))  # a power cut leaves zeros
         except (FileNotFoundError, NotADirectoryError):
             raise ValueError(f"{str(folder)!r} holds no ticks.csv: give the folder of a flight") from None
-        rows = [row for row in whole[1:] if len(row) == len(whole[0])]  # a killed flight's last row may be torn
+        rows = [row for row in whole[1:] if len(row) == len(whole[0])]  # a killed flight's last row may be incomplete
         self._path = path
         if not rows or "t_s" not in whole[0]:
             raise ValueError(f"{str(path)!r} holds no round of a flight")
@@ -52,7 +52,7 @@ class FlightTable:
         return self._columns.get(name, [""] * len(self.t_s))
 
     def numbers(self, name: str) -> Array:
-        """A column as numbers, NaN where it is empty.  Raises ValueError for a cell that holds another thing."""
+        """A column as numbers, NaN where it is empty.  Raises ValueError for a cell that is not a number."""
         try:
             return np.array([float(cell) if cell else np.nan for cell in self._columns.get(name, [])])
         except ValueError as error:
@@ -70,7 +70,7 @@ class FlightTable:
         return spans
 
     def losses(self) -> list[Span]:
-        """When the tracker did not find the target; rounds without a frame count for the one before."""
+        """When the tracker did not find the target; rounds without a frame continue the round before."""
         spans: list[Span] = []
         last, start = "1", 0.0
         for t_s, found in zip(self.t_s, self.words("track_found"), strict=True):
@@ -81,7 +81,7 @@ class FlightTable:
         return spans if last == "1" else [*spans, Span(start, float(self.t_s[-1]), "lost")]
 
     def notes(self) -> dict[str, Array]:
-        """Note, its numbers left out -> the times of the rounds in which it acted."""
+        """Note without its numbers -> the times of the rounds that had it."""
         times: dict[str, list[float]] = {}
         for t_s, notes in zip(self.t_s, self.words("notes"), strict=True):
             for note in filter(None, notes.split(" | ")):
@@ -93,7 +93,7 @@ class FlightTable:
         return self.numbers("target_range_m") * np.tan(self.numbers("target_depression_rad"))
 
     def ages(self) -> Iterator[tuple[str, Array]]:
-        """Name -> age in each round of what came over the link, and of the newest frame, s."""
+        """Name -> age in each round of the link's data, and of the newest frame, s."""
         for name in ("attitude", "position", "heartbeat"):
             yield name, self.t_s - self.numbers(f"vehicle_{name}_t_s")
         frames = self.numbers("frame_t_s")
@@ -102,7 +102,7 @@ class FlightTable:
 
 
 def without_numbers(text: str) -> str:
-    """A text with … for each number, so that texts that differ in them only are one."""
+    """A text with … for each number, so that texts that differ only in numbers are equal."""
     return NUMBER.sub("…", text)
 
 
@@ -116,7 +116,7 @@ def summary_of(folder: Path) -> dict[str, object]:
 
 
 def settings_of(folder: Path) -> dict[str, str]:
-    """Dotted name -> value as text of `settings.toml`, the derived ones by the same names; empty if there is none."""
+    """Dotted name -> value as text, from `settings.toml`, derived ones by their plain names; empty without it."""
     try:
         text = (folder / "settings.toml").read_text(errors="replace")
     except FileNotFoundError:
@@ -125,7 +125,7 @@ def settings_of(folder: Path) -> dict[str, str]:
 
 
 def setting_values(toml: str) -> dict[str, str]:
-    """Dotted name -> value as text, of settings as a recording holds them."""
+    """Dotted name -> value as text, from a recording's settings."""
     found: dict[str, str] = {}
     table = ""
     for line in toml.splitlines():

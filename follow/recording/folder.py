@@ -1,4 +1,4 @@
-"""The folder of a flight: who may write it, and where an earlier flight in it goes."""
+"""The folder of a flight: its lock, and moving an earlier flight aside."""
 
 import contextlib
 import errno
@@ -20,9 +20,9 @@ CALIBRATION = "camera.yaml"
 
 @contextlib.contextmanager
 def claimed(out: Path) -> Generator[None, None, None]:
-    """Make the folder and keep every other program of ours from writing to it; one that stays empty is removed.
+    """Make the folder and lock it against our other programs; a new folder that stays empty is removed.
 
-    The lock is on the folder itself and goes with the process, however it ends.  Raises OSError, which names the
+    The lock is on the folder itself and ends with the process, however that ends.  Raises OSError, which names the
     folder, the rule and the cause.
     """
     refuse_name(out)
@@ -44,7 +44,7 @@ def claimed(out: Path) -> Generator[None, None, None]:
     finally:
         os.close(lock)
         if made:
-            with contextlib.suppress(OSError):  # there is something in it
+            with contextlib.suppress(OSError):  # it is not empty
                 out.rmdir()
 
 

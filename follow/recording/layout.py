@@ -1,7 +1,7 @@
-"""What the viewer shows first of a flight, and the colours that mean the same everywhere.
+"""The viewer's layout for a flight, and the colours, which mean the same everywhere.
 
-At first sight: what it saw (the image), what it wanted and where it was (range, height), what held it back and why it
-stopped (lanes and messages).  How sharp the tracker's response was, and timings, come last.
+Visible at once: the image, the desired and flown range and height, the active limits and the reasons for each mode
+(lanes and messages).  The sharpness of the tracker's response, and timings, come last.
 """
 
 # Rerun's own check of the Python version hides its names from a type checker that is set to Python 3.10.
@@ -35,7 +35,7 @@ AXES = ("forward", "right", "down")
 
 
 def describe(recording: rr.RecordingStream, about: str) -> None:
-    """Log what never changes: names and colours of curves and states, the flight in words."""
+    """Log the static data: names and colours of curves and states, the flight's description."""
 
     def say(path: str, what: rr.AsComponents) -> None:
         recording.log(path, what, static=True)
@@ -105,7 +105,7 @@ def layout(play_state: Literal["paused", "playing", "following"] = "paused") -> 
 
 
 def _curves(name: str, contents: list[str], *, legend: bool = False) -> rrb.TimeSeriesView:
-    """Curves over time; their title says what their colours mean, for a legend would lie on them."""
+    """Curves over time; the title explains their colours, because a legend would cover them."""
     return rrb.TimeSeriesView(
         origin="/",
         contents=contents,

@@ -1,4 +1,4 @@
-"""One self-contained HTML page: sections with tables and plots, nothing to load."""
+"""One self-contained HTML page: sections with tables and plots, no external files."""
 
 import html
 import io
@@ -35,11 +35,11 @@ class Page:
         self._parts.append(f"<h2>{html.escape(heading)}</h2>")
 
     def say(self, text: str) -> None:
-        """A paragraph."""
+        """Add a paragraph."""
         self._parts.append(f"<p>{html.escape(text)}</p>")
 
     def table(self, head: Sequence[str], rows: Iterable[Sequence[Cell]], dots: Sequence[str] = ()) -> None:
-        """A table; numbers stand right; `dots` are the CSS colours of a dot before each row's first cell."""
+        """Add a table; numbers are aligned right; `dots` are the CSS colours of a dot before each row's first cell."""
         lines = ["<table><tr>" + "".join(f"<th>{html.escape(name)}</th>" for name in head) + "</tr>"]
         for n, row in enumerate(rows):
             dot = f'<span class="dot" style="background:{dots[n]}"></span>' if n < len(dots) else ""
@@ -47,7 +47,7 @@ class Page:
         self._parts.append("".join(lines) + "</table>")
 
     def plot(self, figure: "Figure") -> None:
-        """A plot, as SVG within the page."""
+        """Add a plot, as inline SVG."""
         import matplotlib as mpl  # noqa: PLC0415 - half a second that a flight does not need
 
         text = io.StringIO()
@@ -57,7 +57,7 @@ class Page:
         self._parts.append(re.sub(r"<metadata>.*?</metadata>", "", svg[svg.index("<svg") :], flags=re.DOTALL))
 
     def fold(self, summary: str, text: str) -> None:
-        """A text that is shown on a click."""
+        """Add a text that unfolds on a click."""
         self._parts.append(
             f"<details><summary>{html.escape(summary)}</summary><pre>{html.escape(text)}</pre></details>"
         )

@@ -30,7 +30,7 @@ def columns(count: int, heights: Sequence[float]) -> tuple[Figure, list[Axes]]:
 
 
 def line(ax: Axes, t_s: Array, values: Array, label: str, **style: Any) -> None:
-    """One curve, thinned to what a page can show; each piece keeps its extremes."""
+    """One curve, decimated to POINTS; each piece keeps its extremes."""
     keep = np.arange(len(t_s))
     if len(t_s) > POINTS:
         size = -(-len(t_s) // (POINTS // 2))
@@ -43,7 +43,7 @@ def line(ax: Axes, t_s: Array, values: Array, label: str, **style: Any) -> None:
 
 
 def legend(ax: Axes) -> None:
-    """The legend beside the curves, never on them."""
+    """The legend, beside the curves."""
     if ax.get_legend_handles_labels()[0]:
         ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize="small")
 
@@ -75,7 +75,7 @@ def flight_figure(table: FlightTable, wanted_m: tuple[float | None, float | None
     lanes(axes[0], table)
     for ax, values, wanted, label, name in (
         (axes[1], table.numbers("target_range_m"), wanted_m[0], "wanted", "range, m"),
-        # Who flies fast leans, so that the camera looks steeper down: then the servo keeps more height.
+        # In fast flight the vehicle leans and its camera looks down more steeply, so the servo keeps more height.
         (axes[2], table.height_m(), wanted_m[1], "wanted at a hover", "above the\ntarget, m"),
     ):
         seen = np.where(np.isfinite(table.numbers("target_seen_t_s")), values, np.nan)
@@ -113,7 +113,7 @@ def timing_figure(table: FlightTable) -> Figure:
 
 
 def comparison_figure(before: FlightTable, after: FlightTable) -> Figure:
-    """Two outcomes of the same rounds: modes, range, and what was desired and sent in each channel."""
+    """Two outcomes of the same rounds: modes, range, and the desired and sent velocity in each channel."""
     figure, axes = columns(8, [0.9, 0.9, 1.3, 1.3, 1.3, 1.3, 1.3, 1.3])
     for ax, table, name in ((axes[0], before, "recorded"), (axes[1], after, "flown again")):
         lanes(ax, table)

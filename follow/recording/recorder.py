@@ -30,10 +30,10 @@ if TYPE_CHECKING:
     from follow.recording.rerun_log import RerunRecording
 
 REPLACED = ("flight.rrd", "flight.png", "report.html", "refly.html", CALIBRATION)
-"""What a new recording deletes: an old one would be taken for this flight's if this one breaks off."""
+"""Files that a new recording deletes first: if this flight breaks off, old ones would pass for its own."""
 
-VIEW_QUEUE = 2  # frames that wait for a viewer: the newest counts
-VIEW_CLOSE_S = 5.0  # maximum wait for a viewer at the end
+VIEW_QUEUE = 2  # queue of frames for a viewer: only the newest matter
+VIEW_CLOSE_S = 5.0  # timeout for a viewer at the end
 
 NO_IMAGE = np.empty((0, 0, 3), np.uint8)
 
@@ -56,7 +56,7 @@ class RecordConfig:
 
 
 class RecordingError(RuntimeError):
-    """The recording broke by an error of ours; the message is one sentence for a person."""
+    """The recording broke by a bug; the message is one sentence for a person."""
 
 
 class Rows:
@@ -85,8 +85,8 @@ class Recorder:
 
     `waits` lets the loop wait for the queues.  `clock` is the wall clock, seconds since 1970, read once, at the first
     tick; None in a simulation, whose recording then holds no wall-clock time.  With `setup` the flight can be flown
-    again (`follow refly`); `view` shows it while it flies (`follow.recording.view`).  `failure` says what broke that
-    should not: the run must then not count as good.
+    again (`follow refly`); `view` shows it while it flies (`follow.recording.view`).  `failure` describes a bug that
+    broke the recording: the run must then not count as good.
     """
 
     def __init__(
@@ -144,7 +144,7 @@ class Recorder:
 
     @property
     def failure(self) -> str:
-        """What broke in the recording by an error of ours; empty if nothing did."""
+        """The bug that broke the recording; empty if there was none."""
         return self._images.failure if self._images is not None else ""
 
     def tick(self, tick: Tick, truth: Box | None = None) -> None:
@@ -175,7 +175,7 @@ class Recorder:
         if calibration:
             try:
                 self._write(CALIBRATION, Path(calibration).read_bytes())
-            except OSError as error:  # it was read before the flight and went since
+            except OSError as error:  # it could be read before the flight, but not any more
                 self._report(f"{calibration} is not copied into the recording: {error.strerror}")
         for worker in self._workers:
             worker.put(lambda recording: recording.settings(toml))
@@ -186,7 +186,7 @@ class Recorder:
         file.close()
 
     def close(self, figures: Figures | None = None) -> Figures:
-        """Write what is still queued and the summary with `figures` added; returns the summary."""
+        """Write the rest of the queues and the summary with `figures` added; returns the summary."""
         self._closed = True
         if self._images is not None:
             self._images.close()
@@ -228,7 +228,7 @@ class Recorder:
 
 
 def without_images(tick: Tick) -> Tick:
-    """The same round without what takes memory: the image, the response and the mask."""
+    """The same round without its large arrays: the image, the response and the mask."""
     frame = tick.frame and replace(tick.frame, image=NO_IMAGE)
     track = tick.track and replace(tick.track, response=None, mask=None, mask_box=None)
     return replace(tick, frame=frame, track=track)

@@ -1,7 +1,7 @@
-"""A recorded flight as camera, link, tracker, meter and operator: the loop flies it again.
+"""A recorded flight as camera, link, tracker, meter and operator, so that the loop can run on it again.
 
-Each round of the loop takes the recorded round's state, and from it come frame, track, motion and instruction.  What
-the vehicle did is not flown again: it goes where it went, whatever setpoint the loop sends.
+Each round of the loop gets the recorded round's frame, state, track, motion and instruction.  The vehicle is not
+simulated: it follows its recorded path, whatever setpoint the loop sends.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -20,10 +20,10 @@ NO_IMAGE = np.zeros((0, 0, 3), np.uint8)
 
 
 class RecordedFlight:
-    """The rounds of a recording behind both seams.
+    """The rounds of a recording, as both a Camera and a Link.
 
-    `frames` ends before the round with the order to leave: those after it are flown without the camera
-    (`follow.flight.live_flight.ramping_down`).  `forget` is called when the operator aimed the tracker again.
+    `frames` ends before the round with the order to leave: later rounds have no camera
+    (`follow.flight.live_flight.ramping_down`).  `forget` is called when the operator chose a new target.
     """
 
     def __init__(
@@ -56,17 +56,17 @@ class RecordedFlight:
             yield None if coming.frame is None else Frame(self._image(coming), *coming.frame, coming.scale)
 
     def state(self) -> VehicleState:
-        """Begin the next round: the vehicle as it was."""
+        """Begin the next round; returns the recorded state."""
         self._next += 1
         return self.now.state
 
     def send(self, setpoint: Setpoint | None) -> None:
-        """Check the setpoint; the vehicle flies as it flew.  Raises ValueError for one that is not finite."""
+        """Check the setpoint and drop it.  Raises ValueError for one that is not finite."""
         if setpoint is not None:
             setpoint.require_finite()
 
     def instruct(self) -> Instruction:
-        """What the operator told the gate in this round."""
+        """The recorded instruction of this round."""
         if self.now.instruction.aimed:
             self.forget()
         return self.now.instruction
@@ -85,7 +85,7 @@ class RecordedFlight:
 
 
 class RecordedTracker:
-    """Gives each round's recorded track, whatever the image or the prior is."""
+    """Gives each round's recorded track; ignores the image and the prior."""
 
     def __init__(self, flight: RecordedFlight) -> None:
         self._flight = flight

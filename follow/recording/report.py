@@ -1,4 +1,4 @@
-"""`follow report`: one page about a flight, from `ticks.csv`, `summary.json`, `settings.toml` and what was said."""
+"""`follow report`: one page about a flight, from `ticks.csv`, `summary.json`, `settings.toml` and the messages."""
 
 from pathlib import Path
 
@@ -51,7 +51,7 @@ def report(flight: Path) -> str:
 
 
 def wanted(flight: Path) -> tuple[float | None, float | None]:
-    """Stand-off and height that the servo keeps, as far as the settings say; None in a mode that keeps neither."""
+    """Stand-off and height that the servo keeps, by the settings; None in a mode that keeps neither."""
     settings = settings_of(flight)
     keeps = settings.get("servo.mode", '"chase"').strip('"') in ("chase", "orbit", "profile")
     if not keeps or "servo.standoff_m" not in settings:
@@ -75,7 +75,7 @@ def lead(table: FlightTable) -> str:
 
 
 def modes(page: Page, table: FlightTable) -> None:
-    """When which mode and why; the autopilot's own mode beside it."""
+    """Each mode with its time and reason, and the autopilot's own mode."""
     from follow.recording.plots import GREY, MODES  # noqa: PLC0415
 
     page.section("Modes and why")
@@ -96,7 +96,7 @@ def losses(page: Page, table: FlightTable) -> None:
 
 
 def limits(page: Page, table: FlightTable) -> None:
-    """What held the vehicle back, and what data were stale."""
+    """The limits that acted, and the stale data."""
     page.section("Limits and stale data")
     notes = table.notes()
     if not notes:
@@ -111,7 +111,7 @@ def limits(page: Page, table: FlightTable) -> None:
 
 
 def timing(page: Page, table: FlightTable, summary: dict[str, object]) -> None:
-    """Rounds and the computer's time for them."""
+    """The time between rounds, and the computing time of a round."""
     page.section("Timing")
     rows = [percentiles("between rounds, ms", 1e3 * np.diff(table.t_s))]
     for name, label in (("tick_ms", "time of a round, ms"), ("tracker_ms", "tracker's part, ms")):
@@ -128,7 +128,7 @@ def link(page: Page, table: FlightTable) -> None:
 
 
 def told(page: Page, flight: Path) -> None:
-    """The lines that the person at the terminal read."""
+    """The lines shown to the person at the terminal."""
     page.section("What the pilot was told")
     said = read_said(flight / "messages.jsonl.gz")
     if said:
@@ -138,7 +138,7 @@ def told(page: Page, flight: Path) -> None:
 
 
 def percentiles(name: str, values: Array) -> tuple[str, float, float, float]:
-    """A row of a table: median, 99th percentile and maximum of the values that are known."""
+    """A row of a table: median, 99th percentile and maximum of the finite values."""
     known = values[np.isfinite(values)]
     if not len(known):
         return name, np.nan, np.nan, np.nan

@@ -1,6 +1,6 @@
-"""Ticks as Rerun shows them: entities on one timeline (`seconds`, from the flight's first tick).
+"""Ticks as Rerun entities on one timeline (`seconds`, from the flight's first tick).
 
-Curves are gathered and written in columns: a row of its own for each number would cost a hundred bytes and 50 us.
+Curves are collected and written in batches of columns: a separate row for each number would cost 100 bytes and 50 us.
 """
 
 # Rerun's own check of the Python version hides its names from a type checker that is set to Python 3.10.
@@ -27,11 +27,11 @@ from racf.box import Box
 from racf.track import Track
 
 APPLICATION = "follow-me"
-FLUSH_TIMEOUT_S = 50.0  # a disk that takes longer counts as broken; less than the wait for it at the end (CLOSE_S)
+FLUSH_TIMEOUT_S = 50.0  # a disk that takes longer counts as broken; less than the timeout at the end (CLOSE_S)
 RESPONSE_QUALITY = 80  # of JPEG: a smooth image
 RESPONSE_EVERY_S = 0.2  # response and mask change little from frame to frame
-MODE_LINE = re.compile(r"\d+\.\d s: (\w+)")  # how a change of mode is reported
-TIMED = re.compile(r"\d+\.\d s: ")  # a message that states the time of the flight itself
+MODE_LINE = re.compile(r"\d+\.\d s: (\w+)")  # a report of a change of mode
+TIMED = re.compile(r"\d+\.\d s: ")  # a message that already begins with the time of the flight
 DRAW_ORDER = {"image/found": 29.0, "image/search": 30.0, "image/truth": 31.0, "image/target": 32.0}
 """A later box covers an earlier one."""
 
@@ -43,7 +43,7 @@ NUMBER = re.compile(r"-?\d+(\.\d+)?")
 
 @dataclass(frozen=True, slots=True)
 class Pace:
-    """How often what is written: seconds between two frames at least, two batches of curves, and two flushes."""
+    """Intervals of writing: least time between two frames, time between two batches of curves, and two flushes, s."""
 
     frame_s: float = 0.0
     curves_s: float = 4.0  # a batch of each curve costs 1.5 kB; ticks.csv has each row within a second
@@ -51,13 +51,13 @@ class Pace:
 
 
 BROKEN: list[rr.RecordingStream] = []
-"""Streams whose file or viewer takes nothing more: Rerun waits for them for ever when they are closed or dropped."""
+"""Streams whose file or viewer is broken.  They are kept, because Rerun blocks for ever when one is closed or freed."""
 
 
 class RerunRecording:
     """A Rerun recording; use it from one thread.
 
-    `connect` gives it somewhere to go: a file, a viewer.  The mode is a lane; why it changed is in the messages.
+    `connect` sets its destination, a file or a viewer.  The mode is a lane; the reason for a change is in the messages.
     `flush` and `close` raise OSError if it cannot be written.
     """
 
@@ -76,7 +76,7 @@ class RerunRecording:
         self._desired = desired or Desired()
         batches = rr.ChunkBatcherConfig(flush_tick=self._pace.flush_s, flush_num_bytes=1_000_000)
         self._recording = rr.RecordingStream(APPLICATION, batcher_config=batches)
-        self._recording.set_log_time_enabled(False)  # 8 bytes each for every row, and nothing that `seconds` lacks
+        self._recording.set_log_time_enabled(False)  # 8 bytes a row each, and redundant beside `seconds`
         self._recording.set_log_tick_enabled(False)
         connect(self._recording)
         self._states: dict[str, str] = {}
@@ -126,7 +126,7 @@ class RerunRecording:
             self._response(tick.track)
 
     def message(self, t_s: float, text: str) -> None:
-        """Log one line for a person at a time of the flight; a change of mode in the mode's colour."""
+        """Log one message at a time of the flight; a change of mode has the mode's colour."""
         self._recording.set_time("seconds", duration=t_s)
         mode = MODE_LINE.match(text)
         colour = next((c for m, c in MODE_COLOURS.items() if mode and m.value == mode[1]), None)
@@ -138,7 +138,7 @@ class RerunRecording:
         self._recording.log("settings", text, static=True)
 
     def flush(self) -> None:
-        """Wait until everything logged so far is where it goes."""
+        """Wait until everything logged so far is written."""
         try:
             self._recording.flush(timeout_sec=self._flush_timeout_s)
         except RuntimeError as error:  # Rerun writes the cause to its own log only
@@ -165,7 +165,7 @@ class RerunRecording:
             self._recording.log("image", shown)
 
     def _lanes(self, scene: LoggedTick) -> None:
-        """Log what changed of the mode, its reason, and what the gate held back."""
+        """Log changes of the mode, its reason, and the limits that act."""
         decision = scene.tick.decision
         held = ", ".join(dict.fromkeys(held_by(decision.notes)))
         self._state("mode", decision.mode.value)
@@ -173,7 +173,7 @@ class RerunRecording:
         self._state("mode/held_by", held or NOTHING, ORANGE)
 
     def _state(self, path: str, state: str, colour: Colour | None = None) -> None:
-        """Log a lane's state when it changes; `colour` is that of the states that no configuration knows before."""
+        """Log a lane's state when it changes; `colour` is for states that are not known in advance."""
         if self._states.get(path) != state:
             known = self._colours.setdefault(path, {NOTHING: DARK})
             if colour is not None and state not in known:
@@ -184,9 +184,9 @@ class RerunRecording:
             self._recording.log(path, rr.StateChange(state=state))
 
     def _new_notes(self, scene: LoggedTick) -> None:
-        """Log the gate's notes that the tick before did not have, and that are not the mode's reason.
+        """Log the gate's notes that are new in this tick and are not the mode's reason.
 
-        A number that changes does not make a note new.
+        A note that differs only in a number is not new.
         """
         decision = scene.tick.decision
         reason = NUMBER.sub("#", str(decision.reason))
@@ -209,7 +209,7 @@ class RerunRecording:
         self._state("tracker", "found" if track.found else "lost")
 
     def _detections(self, found: Detections | None, t_s: float) -> None:
-        """Log what a detector found when it is new, with its age, and clear it when it is too old."""
+        """Log new detections with their age, and clear them when they are too old."""
         at_s = None if found is None else found.t_s
         if at_s == self._found_t_s:
             return
@@ -261,7 +261,7 @@ class RerunRecording:
         numbers.extend(values)
 
     def _timings(self, t_s: float, stage_ms: Mapping[str, float]) -> None:
-        """One entity for all stages: each has a number of its own, NaN where it did not run."""
+        """One entity with a value for each stage, NaN for a stage that did not run."""
         if new := [name for name in stage_ms if name not in self._stages]:
             self._send_curves()
             self._stages += new
@@ -269,7 +269,7 @@ class RerunRecording:
         self._curve("timings", t_s, *(stage_ms.get(name, math.nan) for name in self._stages))
 
     def _send_curves(self) -> None:
-        """Log the curves gathered so far; the number of values of each time is the same along a curve."""
+        """Log the curves collected so far; a curve has the same number of values at each time."""
         for path, (times, numbers) in self._curves.items():
             width = len(numbers) // len(times)
             columns = rr.Scalars.columns(scalars=numbers).partition([width] * len(times))
@@ -316,7 +316,7 @@ def outlines(mask: NDArray[np.uint8], box: Box) -> list[NDArray[np.floating]]:
 
 
 def shown(value: float | None) -> float:
-    """A value as a curve has it: NaN, which leaves a gap, for one that is not known."""
+    """A value for a curve: NaN, which leaves a gap, if it is unknown."""
     return math.nan if value is None or math.isinf(value) else value
 
 

@@ -1,6 +1,7 @@
 """`ticks.csv`: a row a tick, units in the column names, the same bytes for the same simulated flight.
 
-Every time counts from the flight's first tick.  The stages' durations differ from run to run and are in the recording.
+Every time counts from the flight's first tick.  Durations of stages, which differ from run to run, are only in the
+recording.
 docs/after_a_flight.md describes each column.
 """
 
@@ -49,14 +50,14 @@ class LoggedTick:
 
 @dataclass(frozen=True, slots=True)
 class Desired:
-    """What the flight should keep, for the curves: stand-off and height above the target, m; None: neither."""
+    """The desired stand-off and height above the target, for the curves, m; None in a mode that does not keep it."""
 
     standoff_m: float | None = None
     height_m: float | None = None
 
 
 def held_by(notes: Iterable[str]) -> list[str]:
-    """The limits that reduced the setpoint, of a round's notes: what follows `slower: ` or `less …: `."""
+    """The limits that reduced the setpoint, from a round's notes: the text after `slower: ` or `less …: `."""
     return [note.split(": ", 1)[1] for note in notes if note.startswith(("slower: ", "less "))]
 
 
@@ -106,12 +107,12 @@ def _values(message: VehicleState | Estimate | Setpoint, names: Iterable[str], s
 
 
 def _text(value: float | bool) -> str:
-    """Nine digits: times to a microsecond, and nothing of a last bit that another processor rounds otherwise."""
+    """Nine digits: times to a microsecond, but no last bits that another processor may round differently."""
     if isinstance(value, bool):
         return str(int(value))
-    return f"{value:.9g}" if math.isfinite(value) else ""  # NaN: no value; infinity: it never happened, or not known
+    return f"{value:.9g}" if math.isfinite(value) else ""  # NaN: no value; infinity: never, or unknown
 
 
 def _word(text: str) -> str:
-    """A field of words, a comma in it written as a semicolon: no field needs quotes, which not every reader knows."""
+    """A text cell without commas and quotes, so that it needs no CSV quoting, which not every reader supports."""
     return " ".join(text.split()).replace(",", ";").replace('"', "'")

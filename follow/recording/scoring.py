@@ -13,9 +13,9 @@ from racf.evaluate.metrics import Boxes, Convention, score
 
 
 class Annotations:
-    """The true boxes of a footage.  The file is 1-based, as benchmarks are; everything given out is 0-based.
+    """The true boxes of footage.  The file is 1-based, as benchmarks are; everything returned is 0-based.
 
-    Raises ValueError when the first row holds no box: it starts the tracker.
+    Raises ValueError if the first row holds no box, because that box starts the tracker.
     """
 
     def __init__(self, path: Path) -> None:
@@ -42,9 +42,9 @@ class Annotations:
 
 
 class FootageScore:
-    """Gathers boxes tick by tick over footage of size `whole`, in pixels of the source.
+    """Collects boxes tick by tick over footage of size `whole`, in pixels of the source.
 
-    `window` says which part of it the camera shows now; None if it shows all.
+    `window` gives the part of it that the camera shows now; None if it shows all.
     """
 
     def __init__(self, truth: Annotations | None, whole: Box, window: Callable[[], Box] | None = None) -> None:

@@ -56,7 +56,7 @@ class Figures(TypedDict, total=False):
 
 
 class Summary:
-    """Counts while the ticks pass; `figures` may be read at any time."""
+    """Accumulates the figures tick by tick; `figures` may be read at any time."""
 
     def __init__(self) -> None:
         self._frames = 0

@@ -1,7 +1,7 @@
 """The frames of a recording as compressed images: an H.264 stream, or one JPEG for each frame.
 
-An H.264 stream is in Annex B form without B-frames, so that each packet shows one frame, in the order of the frames.  A
-key frame with the stream's parameters comes every `KEY_S`: a viewer can jump there, and a cut file ends there at worst.
+An H.264 stream is in Annex B form without B-frames, so that each packet holds one frame, in order.  A key frame with
+the stream's parameters follows every `KEY_S`: a viewer can seek to it, and a truncated file loses at most that much.
 """
 
 import contextlib
@@ -23,13 +23,13 @@ from numpy.typing import NDArray
 from racf.box import Box
 
 KEY_S = 2.0  # between two key frames
-CLOCK_HZ = 90_000  # time base of the stream, as of MPEG transport streams
+CLOCK_HZ = 90_000  # time base of the stream, as in MPEG transport streams
 RATE_HZ = 30  # nominal; the time stamps say when a frame was taken
 CRF = 27  # libx264's constant quality: 36 dB over the whole image (benchmarks/recording_size.py)
 BOX_OFFSET = -0.25  # of the quantiser's range, inside the target's box: 39 dB there for 3 % more bytes
 BOX_MARGIN_PX = 8  # half a macroblock, so that the box's edge has the box's quality
 USUAL_PX, USUAL_BITS_S = 640 * 360, 600_000  # 4.5 MB a minute at most; the other rows take up to 3.3
-LARGER_POWER = 0.7  # of larger images, which hold less detail per pixel: 1.6 Mbit/s, 12 MB a minute, for 1280x720
+LARGER_POWER = 0.7  # exponent for larger images, with less detail per pixel: 1.6 Mbit/s, 12 MB a minute, for 1280x720
 
 
 class Encoder(str, Enum):
@@ -59,14 +59,14 @@ class FrameEncoder(Protocol):
     """Compresses the frames of one recording."""
 
     def encode(self, image: NDArray[np.uint8], t_s: float, box: Box | None = None) -> Iterator[Sample]:
-        """Yield what is ready after this image, (rows, columns, 3) BGR or (rows, columns) grey.
+        """Yield the samples that are ready after this image, (rows, columns, 3) BGR or (rows, columns) grey.
 
-        `box` is what must stay clear enough to judge the tracker by.
+        `box` is the region that needs enough quality to judge the tracker.
         """
         ...
 
     def finish(self) -> Iterator[Sample]:
-        """Yield what is still in the encoder."""
+        """Yield the samples that are still in the encoder."""
         ...
 
 
@@ -88,9 +88,9 @@ class JpegEncoder:
 
 
 class H264Encoder:
-    """An H.264 stream by one of FFmpeg's encoders.  Images of another size start the stream again.
+    """An H.264 stream by one of FFmpeg's encoders.  An image of another size restarts the stream.
 
-    Odd sizes get a repeated last row or column, because H.264 stores colour for two by two pixels.
+    Odd sizes are padded with their last row or column, because H.264 stores colour for two by two pixels.
     """
 
     def __init__(self, name: str) -> None:
@@ -122,7 +122,7 @@ class H264Encoder:
         yield from self._samples(self._codec.encode(frame))
 
     def finish(self) -> Iterator[Sample]:
-        """Yield what is still in the encoder, and close it."""
+        """Yield the samples that are still in the encoder, and close it."""
         if self._codec is not None:
             yield from self._samples(self._codec.encode(None))
             self._codec, self._size = None, (0, 0)
@@ -143,7 +143,7 @@ def even(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def finer_inside(frame: VideoFrame, box: Box) -> VideoFrame:
-    """The frame with a note for the encoder: a finer quantiser inside the box.  Encoders in hardware ignore it."""
+    """The frame with a hint for the encoder: a finer quantiser inside the box.  Hardware encoders ignore it."""
     left, top = max(int(box.x) - BOX_MARGIN_PX, 0), max(int(box.y) - BOX_MARGIN_PX, 0)
     right = min(int(box.x + box.w) + BOX_MARGIN_PX, frame.width)
     bottom = min(int(box.y + box.h) + BOX_MARGIN_PX, frame.height)
@@ -201,7 +201,7 @@ def opened(name: str, size: tuple[int, int]) -> VideoCodecContext:
 
 
 def encoder(kind: Encoder, jpeg_quality: int) -> FrameEncoder:
-    """The encoder of that name; `auto` is a board's own one if it gives a packet for a grey image, else libx264."""
+    """The encoder of that kind; `auto` is the board's own if it encodes a grey test image, else libx264."""
     if kind is Encoder.JPEG:
         return JpegEncoder(jpeg_quality)
     for board in BOARDS if kind is Encoder.AUTO else ():

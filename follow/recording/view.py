@@ -1,8 +1,8 @@
 """The flight in Rerun while it flies (`--view`).
 
-The viewer has a recording stream, a queue and a thread of its own: one that is slow or gone costs frames of the view,
-never a setpoint nor a frame of `flight.rrd`.  Frames go as JPEG, at most `FRAMES_HZ` a second: any viewer shows them,
-without a decoder, and a radio link carries them.
+The viewer has a recording stream, a queue and a thread of its own: a slow or lost viewer costs frames of the view,
+never a setpoint nor a frame of `flight.rrd`.  Frames are sent as JPEG, at most `FRAMES_HZ` a second: any viewer can
+show them without a video decoder, and a radio link has the bandwidth.
 """
 
 # Rerun's own check of the Python version hides its names from a type checker that is set to Python 3.10.
@@ -20,8 +20,8 @@ from follow.recording.viewer import HERE, WEB, own_address, page_address
 FRAMES_HZ = 10.0
 JPEG_QUALITY = 60  # some 25 kB at 640x360: 2 Mbit/s
 PACE = Pace(frame_s=1 / FRAMES_HZ - 0.01, curves_s=0.2, flush_s=0.2)
-FLUSH_TIMEOUT_S = 20.0  # a viewer that does not take a batch within this time is gone; meanwhile frames are dropped
-MEMORY = "256MiB"  # of the server for late viewers, beside a tracker on a small computer
+FLUSH_TIMEOUT_S = 20.0  # a viewer that does not take a batch within this time is lost; meanwhile frames are dropped
+MEMORY = "256MiB"  # the server's buffer for viewers that connect later, on a small computer
 
 
 def to_viewer(view: str, about: str, desired: Desired | None, report: Notify) -> RerunRecording:

@@ -56,7 +56,7 @@ def show(path: Path) -> None:
 
 
 def check_view(view: str) -> None:
-    """Refuse a view before anything starts.
+    """Check a view before anything starts.
 
     Raises ValueError for one that is not a view, OSError if a viewer here has no display.
     """
@@ -77,14 +77,14 @@ def check_view(view: str) -> None:
 
 
 def page_address(url: str, host: str) -> str:
-    """The viewer's page with the stream of `url`, both by the address `host` at which others reach this computer."""
+    """The URL of the viewer's page with the stream of `url`; `host` is this computer's address for other machines."""
     there = urllib.parse.urlsplit(url)
     stream = there._replace(netloc=f"{host}:{there.port}").geturl()
     return f"http://{host}:9090/?url={urllib.parse.quote(stream)}"
 
 
 def own_address() -> str:
-    """The address of this computer in its network; 127.0.0.1 if it is in none.  Sends nothing."""
+    """The address of this computer in its network; 127.0.0.1 without a network.  Sends nothing."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.connect((str(ipaddress.IPv4Address("192.0.2.1")), 9))  # a documentation address: no packet leaves

@@ -1,7 +1,7 @@
-"""Threads that write what a flight gives them: whoever gives never waits for them.
+"""Threads that write a flight's data without blocking the control loop.
 
-Two lanes lead to each: what is light (rows, curves, messages) waits for as long as ten minutes, what is heavy (images)
-for half a second.  What does not fit is dropped, the oldest first, and counted.
+Each has two queues: one for light entries (rows, curves, messages), up to ten minutes long, and one for heavy ones
+(images), half a second long.  A full queue drops its oldest entry and counts it.
 """
 
 import threading
@@ -11,9 +11,9 @@ from typing import Generic, Protocol, TypeVar
 
 from follow.messages import Notify
 
-LIGHT = 20_000  # waiting rounds: ten minutes at 30 rounds/s, some 60 MB
-CLOSE_S = 60.0  # maximum wait at the end for a disk or a viewer that does not answer
-QUIET_S = 3.0  # of waiting at the end before it is told what is waited for
+LIGHT = 20_000  # rounds in the light queue: ten minutes at 30 rounds/s, some 60 MB
+CLOSE_S = 60.0  # timeout at the end for a disk or a viewer that does not answer
+QUIET_S = 3.0  # after waiting this long at the end, report the wait
 
 
 class Sink(Protocol):
@@ -28,10 +28,10 @@ SinkT = TypeVar("SinkT", bound=Sink)
 
 
 class Worker(Generic[SinkT]):
-    """A thread that makes a sink and applies to it what is put, in order.
+    """A thread that makes a sink and calls the queued acts with it, in order.
 
     An OSError ends the writing and is reported once: the disk is full, the viewer is gone.  Any other error also sets
-    `failure`: it is a bug, and the run must not count as good.  With `waits` the caller waits for a place in a lane
+    `failure`: it is a bug, and the run must not count as good.  With `waits` the caller waits for room in a queue
     instead of dropping the oldest entry.  `dropped` counts heavy entries, `lost` light ones.
     """
 
@@ -49,9 +49,9 @@ class Worker(Generic[SinkT]):
         self._thread.start()
 
     def put(self, act: Callable[[SinkT], None], heavy: Callable[[SinkT], None] | None = None) -> None:
-        """Queue what is to be done to the sink; `heavy` may be dropped earlier."""
+        """Queue an act on the sink; `heavy` may be dropped earlier."""
         with self._change:
-            if self._waits and not self._closing:  # what is reported at the end must not wait for a place
+            if self._waits and not self._closing:  # a report at the end must not wait for room
                 self._change.wait_for(self._has_room)
             if self._ended:
                 return
@@ -67,7 +67,7 @@ class Worker(Generic[SinkT]):
             self._change.notify_all()
 
     def close(self, timeout_s: float = CLOSE_S) -> None:
-        """Write what is still queued; reports that it takes long, and if it is given up after `timeout_s`."""
+        """Write the rest of the queue; reports if that takes long, and if it gives up after `timeout_s`."""
         with self._change:
             self._closing = True
             self._change.notify_all()
@@ -101,7 +101,9 @@ class Worker(Generic[SinkT]):
         finally:
             self._end()
         if word:
-            self._report(word)  # after the end: the report is put into this worker as well, and must not wait for it
+            self._report(
+                word
+            )  # after the end, because the report is also put into this worker and must not wait for it
 
     def _end(self) -> None:
         with self._change:
@@ -113,7 +115,7 @@ class Worker(Generic[SinkT]):
             self._change.notify_all()
 
     def _next(self) -> "list[Callable[[SinkT], None]] | None":
-        """Everything light and one heavy entry, once there is something; None when nothing more will come."""
+        """Wait for entries: all light ones and one heavy one; None when the queues are closed and empty."""
         with self._change:
             self._change.wait_for(lambda: self._light or self._heavy or self._closing)
             acts = list(self._light)
