@@ -1,4 +1,4 @@
 """The command line: one file a command, the settings, and the only place that builds cameras and links.
 
-May import everything, the simulator too.
+May import everything, also the simulator.
 """

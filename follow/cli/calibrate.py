@@ -19,15 +19,15 @@ from follow.messages import Frame
 from follow.operator.terminal import Terminal
 from racf.commandline import UsageError
 
-EVERY_S = 0.25  # of a video: a board held in the hand has moved by then
-MOST_IMAGES = 240  # searched for the board: a minute of video
-MOST_VIEWS = 40  # fitted: more hardly change the lens
-BETTER = 0.7  # reprojection error of the fisheye over that of the pinhole, below which it is suggested
-ARROW = 40  # residuals are drawn this much longer
+EVERY_S = 0.25  # interval of a video's images: a board held in the hand has moved by then
+MOST_IMAGES = 240  # images searched for the board: a minute of video
+MOST_VIEWS = 40  # views for the fit: more hardly change the lens
+BETTER = 0.7  # a fisheye is suggested if its reprojection error is below this fraction of the pinhole's
+ARROW = 40  # residuals are drawn enlarged by this
 
 
 def calibrate(command: CalibrateCommand) -> None:
-    """`follow calibrate`; raises CalibrationError for views that do not tell the lens, CameraError, UsageError."""
+    """`follow calibrate`; raises CalibrationError for views that do not determine the lens, CameraError, UsageError."""
     board = board_of(command)
     if is_live(command.source):
         raise UsageError(f"calibrate reads a video file or a folder of images, not the live source {command.source!r}")
@@ -53,7 +53,7 @@ def calibrate(command: CalibrateCommand) -> None:
 
 
 def refuse_out(out: Path) -> None:
-    """Raise UsageError for a file that cannot be written, before a minute is spent on finding what belongs in it."""
+    """Raise UsageError for a file that cannot be written, before spending a minute on its content."""
     folder = next(parent for parent in (out.absolute().parent, *out.absolute().parents) if parent.exists())
     if out.is_dir() or not folder.is_dir() or not os.access(out if out.exists() else folder, os.W_OK):
         raise UsageError(f"--out {str(out)!r} must be a file that can be written")
@@ -72,7 +72,7 @@ def board_of(command: CalibrateCommand) -> Board:
 
 
 def gather(command: CalibrateCommand, board: Board, terminal: Terminal) -> tuple[list[BoardView], tuple[int, int], int]:
-    """The views of the board in the source, the images' size, and how many images were looked at."""
+    """The views of the board in the source, the images' size, and the number of images searched."""
     views: list[BoardView] = []
     seen = 0
     with open_replay(command.source, None, terminal.report) as camera:
@@ -93,7 +93,7 @@ def gather(command: CalibrateCommand, board: Board, terminal: Terminal) -> tuple
 
 
 def every(frames: Iterator[Frame | None], step: int) -> Iterator[Frame]:
-    """Each frame that comes first after `step` rounds."""
+    """The first frame, then each first one at least `step` rounds after the last."""
     due = 0
     for n, frame in enumerate(frames):
         if frame is not None and n >= due:
@@ -102,7 +102,7 @@ def every(frames: Iterator[Frame | None], step: int) -> Iterator[Frame]:
 
 
 def summary(fit: LensFit, size: tuple[int, int], kind: LensKind) -> list[str]:
-    """What a person needs to know of the fit."""
+    """The result of the fit, as lines for a person."""
     lens = fit.lens
     lines = [
         described(lens),
@@ -124,7 +124,7 @@ def summary(fit: LensFit, size: tuple[int, int], kind: LensKind) -> list[str]:
 
 
 def draw(fit: LensFit, path: Path) -> None:
-    """Where corners were seen with their residuals, and how far the lens moves pixels."""
+    """Plot the corners with their residuals, and the lens's distortion."""
     from matplotlib.figure import Figure  # noqa: PLC0415 - only a plot needs it
 
     figure = Figure(figsize=(11, 4.2), layout="constrained")

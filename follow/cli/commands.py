@@ -1,4 +1,4 @@
-"""What can be typed after `follow`: each command and its options, as the help shows them."""
+"""The commands of `follow` with their options; the docstrings are the help."""
 
 import math
 from dataclasses import dataclass, field
@@ -376,7 +376,7 @@ def lens_of(camera: CameraConfig, width: int, height: int) -> Intrinsics:
 
 
 def box_in(box: Box, width: int, height: int) -> str:
-    """What to report of the target's box in frames of that size; "" for a sound one.  Raises UsageError."""
+    """A warning about the target's box in frames of that size, or "".  Raises UsageError for an invalid box."""
     try:
         return box.as_start(width, height)
     except ValueError as error:

@@ -1,4 +1,4 @@
-"""What each setting and option does, in the words beside it in the code: the one source of help and pages."""
+"""The descriptions of settings and options, read from the code: the single source of help and pages."""
 
 import ast
 import functools
@@ -29,16 +29,17 @@ UNITS = {
 
 
 def unit(name: str) -> str:
-    """The unit that a setting's name ends in, or "" for one that bears none."""
+    """The unit in the suffix of a setting's name, or "" without one."""
     parts = name.split("_")
     return next((UNITS[end] for n in range(1, len(parts)) if (end := "_".join(parts[n:])) in UNITS), "")
 
 
 @functools.cache
 def sentences(kind: type[Any]) -> dict[str, str]:
-    """Field -> what its docstring, or else its comment, says; "" for a field that has neither.
+    """Field -> its docstring, or else its comment; "" for a field that has neither.
 
-    `kind` is a dataclass whose source is at hand.  A docstring follows its field, a comment ends the field's last line.
+    `kind` is a dataclass whose source is available.  A docstring follows its field, a comment ends the field's last
+    line.
     """
     source = textwrap.dedent(inspect.getsource(kind))
     comments = {
@@ -61,6 +62,6 @@ def sentences(kind: type[Any]) -> dict[str, str]:
 
 
 def summary(kind: type[Any], *, whole: bool) -> str:
-    """A class's docstring for a person: its first sentence or all of it, without what it raises."""
+    """A class's docstring for a person: its first sentence or all of it, without the part about errors."""
     text = re.sub(r"\s*\bRaises \w+Error\b[^.]*\.", "", inspect.getdoc(kind) or "").strip()
     return text if whole else " ".join(re.split(r"(?<=[.!?])\s", text, maxsplit=1)[0].split())

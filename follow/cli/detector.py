@@ -1,4 +1,4 @@
-"""`--detector`: the network of an ONNX file that a person brings."""
+"""`--detector`: a detector network from the user's ONNX file."""
 
 from contextlib import ExitStack
 from pathlib import Path
@@ -26,7 +26,7 @@ def simulated_detector(path: Path | None) -> DelayedDetector | None:
 
 
 def open_detector(path: Path | None, sides: ExitStack) -> tuple[DetectorProcess | None, Snap]:
-    """The detector of a flight in real time, None without one, and how a click finds an object."""
+    """The detector of a flight in real time, None without one, and the function that finds an object at a click."""
     if path is None:
         return None, lambda _image, _x, _y: None
     process = sides.enter_context(DetectorProcess(path))

@@ -31,8 +31,8 @@ from follow.operator.terminal import Terminal
 from racf.box import Box
 from racf.commandline import UsageError, plain
 
-CAMERA_S = 3.0  # as long as the gaps between frames are watched
-BOX_SHARE = 6  # the timed target is a sixth of the image's height, as a person some 10 m away is
+CAMERA_S = 3.0  # time over which the gaps between frames are measured
+BOX_SHARE = 6  # the timed target is a sixth of the image's height, like a person some 10 m away
 
 
 def shrink(size: tuple[int, int]) -> int:
@@ -42,9 +42,9 @@ def shrink(size: tuple[int, int]) -> int:
 
 
 def diagnose(command: DoctorCommand, drawn: CameraConfig | None = None) -> None:
-    """Look, report each finding, and raise NotFitError when one of them is red.
+    """Run the checks, report each finding, and raise NotFitError when one of them is red.
 
-    `drawn` is the camera that a scene draws where it is not the one that is believed: for tests of --wave.
+    `drawn` is a scene's true camera if it differs from the settings: for tests of --wave.
     """
     if command.out.exists() and not command.out.is_dir():
         raise UsageError(f"--out must be a folder; {command.out} is a file")
@@ -77,7 +77,7 @@ def diagnose(command: DoctorCommand, drawn: CameraConfig | None = None) -> None:
 
 
 def look(source: str, tracker: str, out: Path, terminal: Terminal) -> list[Finding]:
-    """The camera, and the tracker on its frames; the first of them is left in `out`, to read a target's box off."""
+    """Check the camera, and the tracker on its frames; save the first frame in `out`, for reading off a target's box."""
     kept: list[Frame] = []
     if source.startswith(SCENE):
         return [Finding("camera", Health.OK, "a drawn scene: nothing to check")]
@@ -111,7 +111,7 @@ def look(source: str, tracker: str, out: Path, terminal: Terminal) -> list[Findi
 
 
 def listen(uri: str, system_id: int | None, key: Path | None, report: Notify) -> list[Finding]:
-    """The vehicle behind the link."""
+    """Check the vehicle behind the link."""
     try:
         signing = Signing(key) if key is not None else None
     except (ValueError, OSError) as error:

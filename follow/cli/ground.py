@@ -1,4 +1,4 @@
-"""The ground station's side of `follow run` and `follow sim`: the camera that it points in, the video that it shows."""
+"""The ground station's part of `follow run` and `follow sim`: the camera for selecting targets, and the video."""
 
 import contextlib
 import math
@@ -27,11 +27,11 @@ from follow.operator.video_out import VideoAddress, VideoOut, description_of, pa
 from racf.commandline import UsageError
 
 LINK = "link"  # --ground: behind the autopilot
-NO_VIDEO = "none"  # --video-out: none, also if a ground station is heard
+NO_VIDEO = "none"  # --video-out: no video, even with a ground station
 
 
 class GroundCommand(Protocol):
-    """What a command says of the ground station; RunCommand and SimCommand do."""
+    """A command's options about the ground station; RunCommand and SimCommand have them."""
 
     @property
     def ground(self) -> str | None: ...  # noqa: D102 - as their options' help says
@@ -49,7 +49,7 @@ class GroundCommand(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Carrier:
-    """What carries the ground's messages beside the direct side: the autopilot's link, or nothing (`lone`)."""
+    """The link for the ground's messages besides the direct side: the autopilot's link, or none (`lone`)."""
 
     link: CarriesPackets
     pilot: TextLink
@@ -67,13 +67,13 @@ def carried_by(link: MavlinkLink) -> Carrier:
 
 
 def carried_alone(clock: Callable[[], float]) -> Carrier:
-    """No autopilot: a simulated vehicle that speaks for itself; `clock` has the loop's time."""
+    """The carrier of a simulated vehicle without an autopilot; `clock` is the loop's clock."""
     vehicle = LoneVehicle()
     return Carrier(vehicle, vehicle, vehicle.system_id, clock=clock, lone=vehicle)
 
 
 def check_ground(command: RunCommand) -> None:
-    """Raise UsageError or LinkError for options of the ground station that cannot be."""
+    """Raise UsageError or LinkError for invalid options of the ground station."""
     if command.ground not in (None, LINK):
         parse_address(command.ground)
         if is_same_place(command.link.removeprefix("mavsdk+").replace("://", ":"), command.ground):
@@ -95,7 +95,7 @@ def is_same_place(link: str, ground: str) -> bool:
     """Whether two addresses, the first perhaps in MAVSDK's notation, cannot both be opened: a port or a device."""
     try:
         (kind, name, number), (other_kind, other_name, other) = parse_address(link), parse_address(ground)
-    except LinkError:  # the link's notation is MAVSDK's own; it says so itself
+    except LinkError:  # another notation of MAVSDK; opening the link reports errors
         return False
     if kind != other_kind:
         return False
@@ -116,7 +116,7 @@ def numeric(host: str) -> str:
 
 
 def video_address(command: GroundCommand) -> VideoAddress | None:
-    """Where the video goes, None for nowhere: by default to the ground stations that talk to us directly."""
+    """The video's destination, None for no video; by default the directly connected ground stations."""
     if command.video_out is None:
         is_direct = command.ground is not None and command.ground.startswith("udp")
         return VideoAddress() if is_direct else None
@@ -132,7 +132,7 @@ def video_address(command: GroundCommand) -> VideoAddress | None:
 def ground_sides(
     command: GroundCommand, carrier: Carrier, lens: Intrinsics, consoles: Consoles, report: Notify
 ) -> Generator[list[Callable[[Tick], object]], None, None]:
-    """What takes each tick for the ground: its camera if --ground names one, else the pilot's texts, and the video."""
+    """The consumers of ticks for the ground: the camera with --ground, else the pilot's texts, and the video."""
     with contextlib.ExitStack() as stack:
         sees: list[Callable[[Tick], object]] = []
         address, video = video_address(command), None
@@ -161,7 +161,7 @@ def ground_side(
     address: VideoAddress | None,
     video: VideoOut | None,
 ) -> GroundSide:
-    """The ground stations of this flight: behind the autopilot, and directly at the address that was given."""
+    """The ground stations of this flight: behind the autopilot, and direct ones at the address of --ground."""
     signing = carrier.signing
     direct = DirectSide(open_transport(command.ground), signing) if command.ground not in (None, LINK) else None
     size, stream = (lens.width, lens.height), None
@@ -180,7 +180,7 @@ def ground_side(
 
 @dataclass(slots=True)
 class DelayWatch:
-    """Reports once that the video leaves later than a person's selections are dated (--ground-delay-s)."""
+    """Reports once if the video's delay exceeds the one assumed for a person's selections (--ground-delay-s)."""
 
     video: VideoOut
     assumed_s: float

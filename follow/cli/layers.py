@@ -1,9 +1,9 @@
 """The command line with its settings: defaults < scenario < kind of target < file < command line.
 
-The words are read twice.  The first reading only finds out what names a layer: a scenario, a kind of target, a file.
-These are combined, and the second reading takes what they hold as its defaults.  Both read classes that are like the
-commands and settings but accept every value: what is invalid beside the defaults may be valid beside a file, so a value
-is judged only when the real command is made.
+The command line is parsed twice.  The first pass only finds the options that name a layer: a scenario, a kind of
+target, a file.  These layers are combined and become the defaults of the second pass.  Both passes use copies of the
+commands and settings that accept every value, because a value that is invalid with the defaults may be valid with a
+file; values are checked when the real command is made.
 """
 
 import contextlib
@@ -58,7 +58,7 @@ METAVARS: dict[Any, str] = {bool: "", int: "INT", float: "FLOAT"}
 
 
 def read(words: Sequence[str], scenario: str | None = None) -> Command:
-    """The command that the words spell, with its settings; `scenario` flies another than they name.
+    """The command of a command line, with its settings; `scenario` overrides the one that it names.
 
     Raises UsageError, SystemExit(0) after `--help`, which leaves the settings out, and `--help-all`.
     """
@@ -76,7 +76,7 @@ def read(words: Sequence[str], scenario: str | None = None) -> Command:
 
 
 def with_view(words: Sequence[str]) -> list[str]:
-    """The words with `here` after a `--view` that names no viewer."""
+    """The words with `here` added after a `--view` without a viewer."""
     full: list[str] = []
     for word, following in itertools.zip_longest(words, words[1:], fillvalue=""):
         names_viewer = following in ("here", "web") or "://" in following
@@ -85,20 +85,20 @@ def with_view(words: Sequence[str]) -> list[str]:
 
 
 def settings_of(words: Sequence[str], scenario: str) -> Config:
-    """The settings with which the words fly a scenario.  Raises UsageError."""
+    """The settings of the command line for a scenario.  Raises UsageError."""
     command = read(words, scenario)
     assert isinstance(command, ReplayCommand | SimCommand | RunCommand)
     return command.config
 
 
 def without_scene(words: Sequence[str]) -> Any:
-    """The settings that the words spell if their scenario suggests none, not judged.  Raises UsageError."""
+    """The settings of the command line without those that its scenario suggests, not checked.  Raises UsageError."""
     known = _commands(below(words, suggests=False))
     return cast(Any, parse(known, words, prog=PROG, description=ABOUT, config=MARKERS)).config
 
 
 def from_scene(scenario: str, flown: Config, bare: Any) -> frozenset[str]:
-    """The dotted names of the settings that a scenario gave: they would be others without it (`bare`)."""
+    """The dotted names of the settings that come from a scenario: without it (`bare`) they have other values."""
     return frozenset(
         f"{branch}.{name}"
         for branch, table in _suggested(scenario).items()
@@ -108,7 +108,7 @@ def from_scene(scenario: str, flown: Config, bare: Any) -> frozenset[str]:
 
 
 def below(words: Sequence[str], scenario: str | None = None, *, suggests: bool = True) -> Config:
-    """The settings of all layers below the command line, the scenario's only if it `suggests`.  Raises UsageError."""
+    """The settings of all layers below the command line; `suggests` includes the scenario's.  Raises UsageError."""
     first = _glance([word for word in words if word not in HELP])  # the help shows the defaults of the layers
     layers: list[tuple[str, Table]] = []
     if isinstance(first, _open(ReflyCommand)) and not any(word in HELP for word in words):
@@ -152,9 +152,9 @@ def _suggested(name: str) -> Table:
 
 
 def _glance(words: Sequence[str]) -> Any:
-    """The command as far as it is clear without its settings; None for what cannot be read, or for help."""
+    """The command of the first pass, without its settings; None for an invalid command line, or for help."""
     with contextlib.suppress(SystemExit), contextlib.redirect_stderr(io.StringIO()):
-        # Help and whatever is wrong with the words is the second reading's business.
+        # The second pass prints the help and reports errors.
         cli = cast(Any, tyro.cli)
         return cli(
             _commands(Config(), needs_all=False),
@@ -168,9 +168,9 @@ def _glance(words: Sequence[str]) -> Any:
 
 
 def _commands(config: Config, *, needs_all: bool = True, is_short: bool = False) -> Any:
-    """The commands by name; a setting that the command line does not give is that of `config`.
+    """The commands by name, with the settings of `config` as defaults.
 
-    Without `needs_all` a required word may be missing: it is then empty.  `is_short` help leaves out the settings.
+    Without `needs_all` a missing required option is empty.  `is_short` help leaves out the settings.
     """
     named: list[Any] = []
     for name, kind in NAMES.items():
@@ -187,7 +187,7 @@ def _commands(config: Config, *, needs_all: bool = True, is_short: bool = False)
 
 @functools.cache
 def _open(kind: type[Any]) -> Any:
-    """A dataclass like `kind`, and like those in it, whose fields may have any value of their type, with their help."""
+    """A copy of the dataclass `kind`, and of those in it, without checks of its values, and with the fields' help."""
     said, hints, plain = described.sentences(kind), get_type_hints(kind, include_extras=True), get_type_hints(kind)
     parts: list[tuple[str, Any, Any]] = []
     for f in fields(kind):
@@ -204,7 +204,7 @@ def _open(kind: type[Any]) -> Any:
 
 
 def _short(name: str, kind: type[Any]) -> Any:
-    """The open class without its settings in the help, which says how to see them."""
+    """The open class with a short help: it omits the settings and says how to list them."""
     whole = _open(kind)
     settings: Any = get_type_hints(whole)["config"]
     hint = Annotated[settings, tyro.conf.arg(name=""), tyro.conf.Suppress]
@@ -213,7 +213,7 @@ def _short(name: str, kind: type[Any]) -> Any:
 
 
 def _with_help(hint: Any, plain: Any, name: str, said: str, *, is_required: bool) -> Any:
-    """The field's type with what the help shows: the sentence, the default with its unit, a metavar without None."""
+    """The field's type with its help: the sentence, the default with its unit, a metavar without None."""
     metadata = list(getattr(hint, "__metadata__", ()))
     known = [m for m in metadata if isinstance(m, ARG)]
     arg: Any = replace(known[0] if known else cast(Any, tyro.conf.arg()), help=said)
@@ -227,7 +227,7 @@ def _with_help(hint: Any, plain: Any, name: str, said: str, *, is_required: bool
 
 
 def _default_shown(unit: str, default: str) -> str:
-    """A default as the help shows it; one that is derived, or says that nothing is given, is in the sentence."""
+    """A default for the help; "" for a derived or empty one, which the sentence explains."""
     if default in ("None", "()", "''", ""):
         return ""
     return f"(default: {' '.join((default, unit)).strip()})"
@@ -240,7 +240,7 @@ def _opened(settings: Any) -> Any:
 
 
 def _judged(kind: type[Any], parsed: Any) -> Any:
-    """The same values in the real classes; raises ValueError for one that may not be."""
+    """The same values in the real classes; raises ValueError for an invalid one."""
     inner = get_type_hints(kind)
     values = {f.name: getattr(parsed, f.name) for f in fields(kind)}
     return kind(**{name: _judged(inner[name], v) if is_dataclass(v) else v for name, v in values.items()})

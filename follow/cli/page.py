@@ -24,7 +24,7 @@ NEEDS = ("starlette", "uvicorn", "websockets")
 
 @dataclass(frozen=True, slots=True)
 class PageOptions:
-    """Where the page listens, and its token (empty: none is needed)."""
+    """The page's address, and its token (empty: not needed)."""
 
     address: PageAddress
     token: str
@@ -56,7 +56,7 @@ def open_page(
     exchange = Exchange()
     with PageServer(options.address, options.token, exchange, out, terminal.report):
         terminal.listeners.append(exchange.say)
-        shown = "" if token_file is not None else options.token  # a token of a file stays in its file
+        shown = "" if token_file is not None else options.token  # a token from a file is not printed
         rest = f" with ?token= and what {token_file} holds" if token_file is not None else ""
         urls = options.address.urls(shown)
         for url in urls:
@@ -94,7 +94,7 @@ def consoles_of(operator: Operator, tracker: Selector, report: Notify, servo: Se
 
 
 def nearest(servo: Servo, limits: Limits) -> KeptStandoff:
-    """The least stand-off to which a person may trim, and what forbids a lesser one."""
+    """The least stand-off to which a person may trim, and what forbids a smaller one."""
     by_image = KeptStandoff(servo.nearest_m(), "nearer, its feet leave the image")
     by_limit = KeptStandoff(limits.min_standoff_m, f"limits.min_standoff_m {limits.min_standoff_m:g}")
     return max(by_image, by_limit, key=lambda kept: kept.standoff_m)

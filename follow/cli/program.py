@@ -1,4 +1,4 @@
-"""The `follow` command line: reads the words and runs the command that they spell."""
+"""The `follow` command line: parses it and runs the command."""
 
 import os
 import sys
@@ -26,7 +26,7 @@ from racf.commandline import UsageError, guarded
 
 
 def execute(words: Sequence[str]) -> None:
-    """Run the command that the words spell."""
+    """Parse the command line and run its command."""
     words = with_view(words)
     command = read(words)
     if isinstance(command, ReplayCommand | SimCommand | RunCommand) and command.view is not None:
@@ -82,5 +82,5 @@ def main(argv: Sequence[str] | None = None) -> int:
     if argv is None and log is not None and (stuck or log.BROKEN):
         sys.stdout.flush()
         sys.stderr.flush()
-        os._exit(status)  # everything is closed; Rerun would wait for the disk or the viewer for ever
+        os._exit(status)  # everything is closed; a normal exit would block in Rerun, waiting for the disk or the viewer
     return status

@@ -1,4 +1,4 @@
-"""`follow refly`: a recorded flight through estimate, servo and gate again, and both laid side by side."""
+"""`follow refly`: runs a recorded flight through estimate, servo and gate again, and compares both."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -79,7 +79,7 @@ def refly(command: ReflyCommand) -> None:
 
 
 def unanswered(config: Config) -> Config:
-    """The settings without what judges the vehicle's answer to the setpoints: a recorded vehicle gives none."""
+    """The settings without the checks of the vehicle's response to setpoints: a recorded vehicle does not respond."""
     return replace(config, limits=replace(config.limits, disobey_after_s=NEVER_S, out_of_reach_s=LONG_S))
 
 
@@ -92,7 +92,7 @@ def compare_pages(
     *,
     same: bool,
 ) -> None:
-    """Write `refly.html`, or say why not: it needs `ticks.csv`, which the flight itself does not."""
+    """Write `refly.html`, or report why not: it needs `ticks.csv`, which the refly itself does not."""
     try:
         rows = len(FlightTable(flight).t_s)
         if rows > difference.total:
@@ -123,9 +123,9 @@ def leaving(flight: RecordedFlight, safety: Safety) -> Iterator[Tick]:
 
 
 def compared(ticks: Iterator[Tick], recorded: ExactFlight, difference: Difference) -> Iterator[Tick]:
-    """Pass the ticks on, each compared with what came out of its round in the recorded flight.
+    """Pass the ticks on, comparing each with the recorded outcome of its round.
 
-    Their times are without the tracker's: none ran.
+    Their stage times omit the tracker, which did not run.
     """
     for tick, was in zip(ticks, recorded.rounds, strict=False):
         difference.add(tick.state.t_s - recorded.rounds[0].state.t_s, equal=digest(tick) == was.outcome)
@@ -133,7 +133,7 @@ def compared(ticks: Iterator[Tick], recorded: ExactFlight, difference: Differenc
 
 
 def refuse_another_camera(before: str, after: str) -> None:
-    """Raise UsageError for a setting that acts before the recording: the frames were taken with the recorded camera."""
+    """Raise UsageError for a changed camera setting: the frames were taken with the recorded camera."""
     changed = [name for name in settings_changed(before, after) if name.startswith("camera.")]
     if changed:
         raise UsageError(f"{changed[0]} cannot be changed: a recorded flight has its camera's frames behind it")
@@ -145,6 +145,6 @@ def without_record(toml: str) -> dict[str, str]:
 
 
 def settings_changed(before: str, after: str) -> dict[str, tuple[str, str]]:
-    """Dotted name -> the two values, of each setting that is not the same in both."""
+    """Dotted name -> both values, for each setting that differs."""
     old, new = without_record(before), without_record(after)
     return {name: (old.get(name, ""), new.get(name, "")) for name in {**old, **new} if old.get(name) != new.get(name)}

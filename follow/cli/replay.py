@@ -1,4 +1,4 @@
-"""`follow replay`: footage, the virtual camera over it, and the link that only pretends to fly."""
+"""`follow replay`: footage, the virtual camera over it, and the link to a simulated vehicle."""
 
 import math
 import os
@@ -31,7 +31,7 @@ from follow.safety.limits import NEVER_S
 from racf.box import Box
 from racf.commandline import UsageError
 
-REPLAY_HEIGHT_M = 10.0  # of the pretended vehicle: a common follow-me height
+REPLAY_HEIGHT_M = 10.0  # of the simulated vehicle: a common follow-me height
 PTZ_SHARE = 3  # the virtual camera shows 1 / 3 of the footage's width and height, pixel for pixel
 
 
@@ -54,7 +54,7 @@ def replay(command: ReplayCommand) -> None:
 
 
 def replay_into(command: ReplayCommand, box: Box, truth: Annotations | None) -> None:
-    """Fly in the folder that is ours now, from the target's box in the first frame."""
+    """Fly in the folder that is now claimed, from the target's box in the first frame."""
     terminal = Terminal()
     config = command.config
     footage = open_replay(command.source, command.fps, terminal.report, whole if command.ptz else shrink_for(box))
@@ -74,12 +74,12 @@ def replay_into(command: ReplayCommand, box: Box, truth: Annotations | None) -> 
             camera, lens = ptz, ptz.intrinsics
             box = box.moved(-ptz.window.x, -ptz.window.y)
         box = box.zoomed(1 / footage.scale)
-        config = resolve(config, lens, config.camera.down_rad, 0.0)  # a file's frames do not come late
+        config = resolve(config, lens, config.camera.down_rad, 0.0)  # a file's frames have no delay
         target = FootageTarget(Target(lens, config.camera.down_rad, config.target), moves_view=command.ptz)
-        # The window turns and climbs and cannot come nearer, whatever else the servo is set to.
+        # The window can turn and climb, but not come nearer, so only SPOTLIGHT works.
         geometry = replace(config.servo, mode=ServoMode.SPOTLIGHT) if command.ptz else config.servo
         servo = Servo(config.camera.down_rad, geometry)
-        # The window's vehicle stays where it is whatever it is told: that is no disobedience.
+        # The window's vehicle has a fixed position, which must not count as disobeying.
         limits = replace(config.limits, disobey_after_s=NEVER_S) if command.ptz else config.limits
         tracker, safety = acquire(command.tracker, box), Safety(limits)
         keep_flight(command.out, terminal)
@@ -90,7 +90,7 @@ def replay_into(command: ReplayCommand, box: Box, truth: Annotations | None) -> 
         with link, record(command.out, config.record, terminal.report) as recorder:
             terminal.listeners.append(recorder.message)
             recorder.settings(as_toml(command.config, config), command.config.camera.calibration)
-            # No meter: the motion of the camera that filmed the footage is unknown, so the image contradicts nothing.
+            # No meter: the motion of the camera that filmed the footage is unknown, so there is nothing to compare.
             ticks = follow(camera, link, tracker, target, servo, safety, once(Order.FOLLOW))
             ticks = terminal.progress(ticks, footage.rounds, "replay")
             finished = fly(ticks, recorder, pretended(terminal.report), score.add)
@@ -104,7 +104,7 @@ def replay_into(command: ReplayCommand, box: Box, truth: Annotations | None) -> 
 
 
 def pretended(report: Notify) -> Notify:
-    """`report` for footage, where no autopilot is there to obey."""
+    """`report` for footage, which has no autopilot."""
     return lambda line: report(line.replace(Cause.OBEYS.value, "a pretended vehicle obeys"))
 
 
@@ -118,6 +118,6 @@ def windowed(footage: ReplayCamera, link: ReplayLink, target: Box, config: Confi
             "undistort the footage first, or replay it without --ptz"
         )
     window = (width // PTZ_SHARE, height // PTZ_SHARE)
-    # As far away as flat ground is in the middle of the image: so far a climb moves the view.
+    # The distance of flat ground in the middle of the image: it sets how far a climb moves the view.
     range_m = REPLAY_HEIGHT_M / max(math.sin(config.camera.down_rad), 0.1)
     return WindowCamera(footage, link.state, lens, window, (target.centre_x, target.centre_y), range_m)

@@ -71,7 +71,7 @@ LONG_S = 1800.0  # length of a scene's path if no end is given: a battery's time
 
 @dataclass(frozen=True, slots=True)
 class OpenCamera:
-    """An open camera and what must be known of it to fly by it; `config` are the settings suited to it."""
+    """An open camera with its lens, mount and target; `config` are the settings resolved for it."""
 
     camera: Camera
     lens: Intrinsics
@@ -84,7 +84,7 @@ class OpenCamera:
 
 
 def open_camera(command: RunCommand, link: Link, report: Notify) -> OpenCamera:
-    """The camera that the command names; a scene is drawn as seen from where the link says that the vehicle is."""
+    """The camera that the command names; a scene is drawn from the vehicle's position by the link."""
     if command.camera.startswith(SCENE):
         return open_scene(command, link)
     mount = command.config.camera
@@ -103,7 +103,7 @@ def open_camera(command: RunCommand, link: Link, report: Notify) -> OpenCamera:
 def open_scene(command: RunCommand, link: Link, drawn: CameraConfig | None = None) -> OpenCamera:
     """A drawn scene, long enough for the flight, with its own target unless the command names another.
 
-    `drawn` is the camera that is drawn where it is not the one that is believed: for tests of a wrong mount.
+    `drawn` is the scene's true camera if it differs from the settings: for tests of a wrong mount.
     """
     scenario = SCENARIOS[command.camera.removeprefix(SCENE)]
     scenario = replace(scenario, duration_s=max(command.seconds or LONG_S, scenario.duration_s))
@@ -113,7 +113,7 @@ def open_scene(command: RunCommand, link: Link, drawn: CameraConfig | None = Non
     camera, _ = build_live(scenario, command.seed, autopilot, link, mount)
     target = box_of(command.target) if command.target is not None else camera.first()[1]
     if command.target is None and (command.ground is not None or command.page is not None):
-        target = None  # a person will point at it
+        target = None  # a person will select it
     config = resolve(command.config, believed.intrinsics, believed.down_rad, believed.latency_s)
     referee = Referee(camera)
 
@@ -124,7 +124,7 @@ def open_scene(command: RunCommand, link: Link, drawn: CameraConfig | None = Non
 
 
 def check(command: RunCommand) -> None:
-    """Raise UsageError, LinkError or CameraError for what no vehicle is needed to refuse."""
+    """Raise UsageError, LinkError or CameraError for errors that can be found without a vehicle."""
     if command.target is not None:
         box_of(command.target)
     elif not command.camera.startswith(SCENE) and command.ground is None and command.page is None:
@@ -191,11 +191,11 @@ def fly_live(command: RunCommand, bare: Any) -> None:
 def fly_reported(
     command: RunCommand, terminal: Terminal, scene: frozenset[str], exchange: Exchange | None = None
 ) -> None:
-    """From the first message to the last; `scene` names the settings that a drawn scene gave."""
+    """The flight from the first message to the last; `scene` names the settings that come from a drawn scene."""
     early: list[str] = []  # lines reported before the recording exists
     keep = early.append
     terminal.listeners.append(keep)
-    # Until there is a flight to order, the signal must not do what it does by default: kill.
+    # Before the flight begins SIGUSR1 must not have its default effect, which is to kill the program.
     signal.signal(signal.SIGUSR1, lambda _number, _frame: terminal.report("not ready yet: SIGUSR1 orders nothing"))
     forwarder = LogForwarder(terminal.report)
     log = logging.getLogger("follow")
@@ -204,7 +204,7 @@ def fly_reported(
     if line := unused_line(command):
         terminal.report(line)
     terminal.report(f"tracker warm after {warm_up():.1f} s")
-    with contextlib.ExitStack() as recording:  # outlives the link, which says how it left the vehicle
+    with contextlib.ExitStack() as recording:  # outlives the link, whose last message is recorded
         keys = recording.enter_context(Keys())  # from now on keys are read, not echoed
         signing = Signing(command.signing_key) if command.signing_key else None
         starting = recording.enter_context(starting_log(command.out))
@@ -239,7 +239,7 @@ def unused_line(command: RunCommand) -> str:
 
 
 def refusing_early(keys: Keys, report: Notify) -> Notify:
-    """`report`, which first refuses the keys that were typed before there is a flight to order."""
+    """A `report` that first refuses the keys typed before the flight begins."""
 
     def say(line: str) -> None:
         keys.refuse_early(report)
@@ -250,7 +250,7 @@ def refusing_early(keys: Keys, report: Notify) -> Notify:
 
 @dataclass(frozen=True, slots=True)
 class PreparedFlight:
-    """A camera that is open, a tracker that is warm, and why FOLLOW would be refused (`red`)."""
+    """An open camera, a warm tracker, and the reasons for which FOLLOW would be refused (`red`)."""
 
     seen: OpenCamera
     tracker: tuple[Start, Update]
@@ -266,7 +266,9 @@ def prepare(command: RunCommand, link: MavlinkLink, report: Notify) -> PreparedF
     seen = open_camera(command, link, report)
     if command.dry_run:
         report("dry run: nothing that could move the vehicle is sent; fly it by hand")
-        limits = replace(seen.config.limits, disobey_after_s=NEVER_S)  # it flies by hand, not what is desired
+        limits = replace(
+            seen.config.limits, disobey_after_s=NEVER_S
+        )  # the pilot flies, so the vehicle does not follow setpoints
         seen = replace(seen, config=replace(seen.config, limits=limits))
     scale, box = seen.scale, seen.target  # messages are in pixels of the source
     size = seen.lens.width * scale, seen.lens.height * scale
@@ -284,7 +286,7 @@ def prepare(command: RunCommand, link: MavlinkLink, report: Notify) -> PreparedF
 
 @contextlib.contextmanager
 def starting_log(out: Path) -> Generator[Path, None, None]:
-    """The file for packets until the flight starts, beside the last flight's; removed if no flight starts."""
+    """The file for packets before the flight starts, next to the last flight's; removed if no flight starts."""
     path = out / "starting.tlog"
     try:
         yield path
@@ -296,7 +298,7 @@ def starting_log(out: Path) -> Generator[Path, None, None]:
 def begin_recording(
     command: RunCommand, seen: OpenCamera, starting: Path, terminal: Terminal, early: Sequence[str], told: Notify
 ) -> Generator[Recorder, None, None]:
-    """The recording of a flight that starts now: the last one is moved aside, and what was said is in it."""
+    """The recording of a flight that starts now; moves the last one aside, and includes the `early` messages."""
     keep_flight(command.out, terminal)
     starting.rename(command.out / "flight.tlog")
     about = f"# follow run {command.link} {command.camera}\n\ntracker {command.tracker}"
@@ -359,9 +361,9 @@ def fly_prepared(
 
 
 def height_line(config: Config) -> str:
-    """How high the vehicle will fly above the target, and why; "" in a mode that keeps the height it has.
+    """How high the vehicle will fly above the target, and why; "" in a mode that keeps its present height.
 
-    Raises UsageError where that lies outside the altitude band: the servo would fly against the gate all the time.
+    Raises UsageError if that lies outside the altitude band: the servo would fly against the gate all the time.
     """
     down_rad, limits = config.camera.down_rad, config.limits
     kept = kept_geometry(config.servo, down_rad)

@@ -1,7 +1,7 @@
 """Settings in a file: the tree of `Config` as TOML, a table for each branch.
 
-Layers of settings lie on each other: defaults, scenario, kind of target, file, command line.  An invalid file ends in
-one line that names the file, the setting, the rule and the value.
+Each layer of settings overrides those before it: defaults, scenario, kind of target, file, command line.  An invalid
+file gives one line that names the file, the setting, the rule and the value.
 """
 
 import difflib
@@ -19,7 +19,7 @@ from racf.commandline import UsageError
 
 if sys.version_info >= (3, 11):
     import tomllib
-else:  # the checker judges for 3.10, also where it runs on a later Python that has no need of tomli
+else:  # the type checker assumes 3.10, also on a later Python, where tomli is not installed
     import tomli as tomllib  # pyright: ignore[reportMissingImports]
 
 if TYPE_CHECKING:
@@ -28,14 +28,15 @@ if TYPE_CHECKING:
 BranchT = TypeVar("BranchT", bound="DataclassInstance")
 
 Table = Mapping[str, object]
-"""Settings as a TOML file holds them: a table for each branch."""
+"""Settings as in a TOML file: a table for each branch."""
 
 DERIVED = "derived"
-"""The table of a recorded file with what the flight's camera or scene gave; it is not read: others give others."""
+"""The table of a recorded file with the values derived from the flight's camera or scene; reading skips it, because
+another camera or scene gives other values."""
 
 
 def layered(*layers: tuple[str, Table]) -> Config:
-    """The defaults with each layer's settings on top of those before it; a layer is its name and its table.
+    """The defaults, overridden by each layer in turn; a layer is its name and its table.
 
     Raises UsageError, which names the layer, for a setting that does not exist or may not have that value.
     """
@@ -51,7 +52,7 @@ def file_layer(path: Path) -> tuple[str, Table]:
 
 
 def read_settings(path: Path) -> Config:
-    """The defaults with the settings in a file on top.  Raises UsageError."""
+    """The defaults, overridden by the settings in a file.  Raises UsageError."""
     return layered(file_layer(path))
 
 
@@ -77,12 +78,12 @@ def read_table(text: str, name: str) -> Table:
 
 
 def one_line(error: Exception) -> str:
-    """What an error says, without line breaks."""
+    """An error's text without line breaks."""
     return " ".join(str(error).split())
 
 
 def _branch(default: BranchT, table: object, source: str, name: str) -> BranchT:
-    """The branch with what the table sets."""
+    """The branch with the table's values."""
     if not isinstance(table, dict):
         raise UsageError(f"{source}: {name} must be a table, not {reprlib.repr(table)}")
     known = {f.name: getattr(default, f.name) for f in fields(default)}
@@ -99,7 +100,7 @@ def _branch(default: BranchT, table: object, source: str, name: str) -> BranchT:
 
 
 def _nearest(key: str, known: Mapping[str, object]) -> str:
-    """What a wrong name may mean: a setting of its table, or one of a table inside; else all that there are."""
+    """A hint about a wrong name: the nearest setting of its table, or of an inner table; else the list of all."""
     if near := difflib.get_close_matches(key, known, n=1):
         return f"the nearest is {near[0]!r}"
     for table, branch in known.items():
@@ -139,11 +140,11 @@ def _value(default: object, value: object, source: str, name: str) -> object:
 
 
 def as_toml(config: Config, resolved: Config | None = None, scene: Collection[str] = ()) -> str:
-    """The settings as a file that `read_settings` reads; a derived setting that nobody gave is left out.
+    """The settings as a file that `read_settings` reads; a derived setting that was not set is left out.
 
-    `resolved` are the same settings with each derived one filled in: those that nobody gave follow in tables
-    `[derived.BRANCH]`, which tell what a flight was flown with, and which `read_settings` passes over.  So do those
-    that `scene` names (`camera.fov_deg`): a drawn scene gave them, and a real camera or target has others.
+    `resolved` are the same settings with each derived one filled in: those that were not set follow in tables
+    `[derived.BRANCH]`, which document the flight, and which `read_settings` skips.  So do those that `scene` names
+    (`camera.fov_deg`): they come from a drawn scene, and a real camera or target has others.
     """
     lines = [*_lines(config, "", scene)]
     if resolved is not None:
@@ -152,7 +153,7 @@ def as_toml(config: Config, resolved: Config | None = None, scene: Collection[st
 
 
 def scene_values(path: Path) -> dict[str, object]:
-    """What a drawn scene gave the flight that left this file, by dotted name; it is not read.  Raises UsageError."""
+    """The values in this file that came from a drawn scene, by dotted name; reading skips them.  Raises UsageError."""
     derived, default = _table(path).get(DERIVED), Config()
     tables = cast("Mapping[str, object]", derived) if isinstance(derived, dict) else {}
     return {
@@ -160,14 +161,14 @@ def scene_values(path: Path) -> dict[str, object]:
         for branch, table in tables.items()
         if isinstance(table, dict)
         for name, value in cast("Mapping[str, object]", table).items()
-        if getattr(getattr(default, branch, None), name, None) is not None  # else it follows from every camera
+        if getattr(getattr(default, branch, None), name, None) is not None  # else it is derived from the camera
     }
 
 
 def _lines(
     branch: "DataclassInstance", name: str, scene: Collection[str], resolved: "DataclassInstance | None" = None
 ) -> Iterator[str]:
-    """A branch as tables, without what `scene` gave and what is None; with `resolved` only these, as they are there."""
+    """A branch as tables, without None and the settings in `scene`; with `resolved` only those, with its values."""
     values = {f.name: getattr(branch, f.name) for f in fields(branch)}
     inner = {key: value for key, value in values.items() if is_dataclass(value) and not isinstance(value, type)}
     leaves = {key: value for key, value in values.items() if key not in inner}
@@ -193,4 +194,4 @@ def literal(value: object) -> str:
         return str(value).lower()
     if isinstance(value, str):
         return json.dumps(value, ensure_ascii=False)
-    return repr(float(value)) if isinstance(value, float) else repr(value)  # float(): numpy's repr bears its type
+    return repr(float(value)) if isinstance(value, float) else repr(value)  # float(): numpy's repr includes its type

@@ -49,19 +49,19 @@ class FlightSpec:
     tracker: str
     config: Config
     out: Path
-    drawn: CameraConfig | None = None  # what is drawn where it is not what is believed: for tests of a wrong mount
-    scene: frozenset[str] = frozenset()  # names of the settings that nobody chose: the scenario's own
-    view: str | None = None  # where the flight is shown while it flies
-    detector: Path | None = None  # file of its network
+    drawn: CameraConfig | None = None  # the true camera if it differs from the settings: for tests of a wrong mount
+    scene: frozenset[str] = frozenset()  # names of the settings that come from the scenario
+    view: str | None = None  # the live viewer
+    detector: Path | None = None  # the network's file
 
     @property
     def name(self) -> str:
-        """As a folder is called."""
+        """The name of the flight's folder."""
         return f"{self.scenario}-{self.autopilot.value}-{self.seed}"
 
 
 class Referee:
-    """Sees each round of a flight through a drawn scene as it truly was, and scores the flight."""
+    """Records the ground truth of each round of a flight through a drawn scene, and scores the flight."""
 
     def __init__(self, camera: SceneCamera) -> None:
         self.camera = camera
@@ -79,7 +79,7 @@ class Referee:
         return self.rows[sent[0] : sent[-1] + 1] if sent else []
 
     def figures(self, rows: Sequence[ScoredTick], config: Config) -> Figures:
-        """The score of some rounds, its times from the flight's first round on; nothing if they have no frame."""
+        """The score of some rounds, with times from the flight's first round; empty if they have no frame."""
         if not any(row.truth for row in rows):
             return {}
         scored = score(rows, self.camera.settings.intrinsics, config.servo.standoff_m, asdict(config.limits))
@@ -88,7 +88,7 @@ class Referee:
 
 @dataclass(frozen=True, slots=True)
 class FlownFlight:
-    """What a simulated flight came to: its summary, whether it was flown to its end, what broke in its recording."""
+    """The result of a simulated flight: its summary, whether it was flown to its end, the recording's failure."""
 
     figures: Figures
     finished: bool
@@ -102,7 +102,7 @@ def simulate(flight: FlightSpec, terminal: Terminal, *, bar: bool) -> FlownFligh
 
 
 def simulate_into(flight: FlightSpec, terminal: Terminal, *, bar: bool) -> FlownFlight:
-    """Fly in the folder that is ours now."""
+    """Fly in the folder that is now claimed."""
     scenario, config = SCENARIOS[flight.scenario], flight.config
     believed = believed_camera(scenario, flight.autopilot, config.camera)
     drawn = scene_camera(scenario, flight.autopilot, flight.drawn or config.camera)
@@ -115,7 +115,7 @@ def simulate_into(flight: FlightSpec, terminal: Terminal, *, bar: bool) -> Flown
     referee = Referee(camera)
     strip = Strip(scenario.duration_s)
     detector = simulated_detector(flight.detector)
-    tracker = acquire(flight.tracker, camera.first()[1])  # what may refuse a flight comes before its recording
+    tracker = acquire(flight.tracker, camera.first()[1])  # this may refuse the flight, so it comes before the recording
     flown: Figures = {"scenario": flight.scenario, "seed": flight.seed, "autopilot": flight.autopilot.value}
     keep_other_flight(flight.out, flown, terminal)
     kept, setup = kept_geometry(config.servo, down_rad), Setup(lens, down_rad, as_toml(config), about=about)
@@ -150,16 +150,16 @@ def simulate_into(flight: FlightSpec, terminal: Terminal, *, bar: bool) -> Flown
 
 
 def scene_camera(scenario: Scenario, autopilot: Autopilot, camera: CameraConfig) -> CameraSettings:
-    """A drawn scene's camera as the settings describe it; the scenario's own mount unless they give another.
+    """The camera that a scene draws: by the settings, with the scenario's own mount unless they set another.
 
-    A calibration is what is believed of a lens, not what is drawn: that is the scenario's lens with `fov_deg`.
+    A calibration does not change the drawn lens: that is the scenario's, with `fov_deg`.
     """
     down_rad = None if camera.down_deg is None else camera.down_rad
     return scenario.camera_settings(autopilot, math.radians(camera.fov_deg), down_rad, camera.delay_s)
 
 
 def believed_camera(scenario: Scenario, autopilot: Autopilot, camera: CameraConfig) -> CameraSettings:
-    """A drawn scene's camera as it is believed to be: with the lens of the calibration, if there is one, else as drawn.
+    """The camera that the flight assumes for a drawn scene: as drawn, but with the calibration's lens if there is one.
 
     Raises UsageError for a calibration that does not fit the drawn frames.
     """
@@ -170,14 +170,14 @@ def believed_camera(scenario: Scenario, autopilot: Autopilot, camera: CameraConf
 
 
 def rounded(scored: FlightScore) -> Figures:
-    """Fractions and metres with five decimals; what does not apply is left out."""
+    """Fractions and metres with five decimals; fields that do not apply are left out."""
     known = {name: value for name, value in asdict(scored).items() if value is not None}
     rounded = {name: round(value, 5) if isinstance(value, float) else value for name, value in known.items()}
     return cast(Figures, rounded)
 
 
 def sim(command: SimCommand, settings_of: Callable[[str], Config], bare: Any) -> None:
-    """`follow sim`; `settings_of` gives the settings to fly a scenario with, `bare` are they without any scenario."""
+    """`follow sim`; `settings_of` gives the settings for a scenario, `bare` are those without any scenario."""
     terminal = Terminal()
     check_detector(command.detector)
     if command.list:
@@ -204,7 +204,7 @@ def sim(command: SimCommand, settings_of: Callable[[str], Config], bare: Any) ->
 
 
 def sim_all(command: SimCommand, configs: Mapping[str, Config], bare: Any, terminal: Terminal) -> None:
-    """Every scenario with several seeds and both vehicles; without the images, which would fill the disk."""
+    """Fly every scenario with several seeds and both vehicles; without recorded images, which would fill the disk."""
     scenarios = tuple(configs)
     configs = {name: replace(config, record=replace(config.record, pictures=False)) for name, config in configs.items()}
     autopilots = [command.autopilot] if command.autopilot else list(Autopilot)

@@ -38,7 +38,7 @@ from sim.camera import SceneCamera
 from sim.piloted import PilotedLink, RealTimePace
 from sim.scenarios import SCENARIOS, build
 
-LONG_S = 1800.0  # length of the target's path: nobody watches a demonstration for longer
+LONG_S = 1800.0  # length of the target's path: longer than anybody watches a demonstration
 ROUND_S = 1 / 30
 
 
@@ -62,7 +62,7 @@ def fly_watched(command: SimCommand, flight: FlightSpec, page: PageOptions | Non
 
 @dataclass(frozen=True, slots=True)
 class RealTimeScene:
-    """A drawn scene and the vehicle in it, which time carries on; `lens` and `down_rad` are as they are believed."""
+    """A drawn scene and its vehicle in real time; `lens` and `down_rad` are those that the flight assumes."""
 
     link: PilotedLink
     camera: SceneCamera
@@ -73,7 +73,7 @@ class RealTimeScene:
 
 
 def scene_in_real_time(flight: FlightSpec) -> RealTimeScene:
-    """The scene of a flight, and the settings suited to it."""
+    """The scene of a flight, with its resolved settings."""
     scenario = replace(SCENARIOS[flight.scenario], duration_s=LONG_S)
     believed = believed_camera(scenario, flight.autopilot, flight.config.camera)
     drawn = scene_camera(scenario, flight.autopilot, flight.drawn or flight.config.camera)
@@ -90,7 +90,7 @@ def scene_in_real_time(flight: FlightSpec) -> RealTimeScene:
 def fly_in_real_time(
     command: SimCommand, flight: FlightSpec, exchange: Exchange | None, terminal: Terminal
 ) -> tuple[Figures, str]:
-    """The flight's figures, and what broke in its recording."""
+    """Fly; returns the flight's figures, and the recording's failure."""
     scene = scene_in_real_time(flight)
     link, lens, down_rad, config, about = scene.link, scene.lens, scene.down_rad, scene.config, scene.about
     tracker_parts = tracker_of(flight.tracker)

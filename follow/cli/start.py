@@ -1,4 +1,4 @@
-"""Where the program `follow` begins: Ctrl-C in the half second of its imports also ends in one line."""
+"""Entry point of the program `follow`: Ctrl-C in the half second of its imports also gives a one-line error."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""`follow doctor --wave`: mount, field of view and delay, from a vehicle that is turned in the hands."""
+"""`follow doctor --wave`: mount, field of view and delay, from a vehicle that is turned by hand."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -32,7 +32,7 @@ HOW = (
 
 
 def wave(command: DoctorCommand, terminal: Terminal, drawn: CameraConfig | None = None) -> Sequence[Finding]:
-    """Look while the vehicle is turned.  `drawn` is a scene's camera if another is drawn than believed, for tests."""
+    """Measure while the vehicle is turned.  `drawn`: a scene's true camera if it differs from the settings, for tests."""
     assert command.camera is not None
     assert command.link is not None
     signing = Signing(command.signing_key) if command.signing_key is not None else None
@@ -47,7 +47,7 @@ def wave(command: DoctorCommand, terminal: Terminal, drawn: CameraConfig | None 
 
 
 def unsafe(state: VehicleState) -> Finding | None:
-    """A vehicle with turning propellers is not for the hands."""
+    """A red finding for an armed vehicle: nobody may hold turning propellers."""
     if state.armed and not state.in_air:
         return Finding("wave", Health.RED, "the vehicle is armed", "disarm it, and take the propellers off")
     return None
@@ -70,7 +70,7 @@ def waved(command: DoctorCommand, link: Link, terminal: Terminal, drawn: CameraC
 
 
 def disarmed(camera: Camera, link: Link) -> Iterator[Frame | None]:
-    """The camera's frames; raises WaveError when somebody arms the vehicle in the hands."""
+    """The camera's frames; raises WaveError when somebody arms the vehicle meanwhile."""
     for frame in camera.frames():
         if unsafe(link.state()) is not None:
             raise WaveError("the vehicle was armed: put it down, disarm it, and take the propellers off")
@@ -78,7 +78,7 @@ def disarmed(camera: Camera, link: Link) -> Iterator[Frame | None]:
 
 
 def opened(command: DoctorCommand, link: Link, terminal: Terminal, drawn: CameraConfig | None) -> Camera:
-    """The camera, its frames stamped when they come."""
+    """The camera, its frames stamped with their arrival."""
     assert command.camera is not None
     if command.camera.startswith(SCENE):
         name = command.camera.removeprefix(SCENE)
@@ -93,7 +93,7 @@ def opened(command: DoctorCommand, link: Link, terminal: Terminal, drawn: Camera
 
 
 class AsTheyCome(CameraFilter[SceneCamera]):
-    """A drawn scene's camera as a device: its frames bear the time at which they come, not that of their exposure."""
+    """A drawn scene's camera as a device: its frames have the time of their arrival, not that of their exposure."""
 
     def frames(self) -> Iterator[Frame | None]:
         """Yield what the camera yields, stamped later by its delay."""
