@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from typing_extensions import Self
 
 LEAST_INSIDE = 0.5
-"""Fraction of a first box in the image: with less, what is learnt is mostly the image's repeated edge."""
+"""Least fraction of a first box inside the image: with less, the tracker mostly learns the image's repeated edge."""
 
 MOST_OF_IMAGE = 0.9
 """Largest fraction of the image that a first box may fill."""
 
 CLEAR_PX = 10.0
-"""Least side of a target that is held reliably: a pixel of error is a tenth of it, and as much of the distance."""
+"""Least side of a target for reliable tracking: one pixel of error is 10 % of it, and 10 % of the distance."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,9 +96,9 @@ class Box:
         return Box.around(self.centre_x, self.centre_y, self.w * factor, self.h * factor)
 
     def as_start(self, width: int, height: int) -> str:
-        """A line of warning about this box as a tracker's start in an image of that size, "" for a sound one.
+        """A warning about this box as a tracker's start in an image of that size, "" for a good one.
 
-        Raises ValueError if less than half of it lies in the image, or if it leaves no background to tell it from.
+        Raises ValueError if less than half of it lies in the image, or if it leaves no background around it.
         """
         inside = self.intersection(Box(0, 0, width, height))
         if inside <= 0:
@@ -112,7 +112,7 @@ class Box:
             raise ValueError(
                 f"target {self} fills the {width}x{height} image: a tracker needs some background around it"
             )
-        # Half a pixel is rounding.
+        # Half a pixel may be rounding.
         beyond = max(-self.x, -self.y, self.x + self.w - width, self.y + self.h - height)
         part = f"{100 - 100 * inside / self.area:.0f} % of target {self} lies outside the {width}x{height} image"
         return f"{part}: the tracker starts with what it sees of it" if beyond > 0.5 else ""

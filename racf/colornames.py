@@ -1,8 +1,8 @@
 """Colour names: how likely people are to call a colour by each of eleven basic names.
 
 The probabilities are computed here from the results of the XKCD colour survey (2010; five million answers), whose 949
-most common names with their mean colours matplotlib ships.  Each surveyed name is counted to the basic term of Berlin
-and Kay that it contains or is nearest to, and votes for colours near it in CIE Lab:
+most common names with their mean colours matplotlib ships.  Each surveyed name that contains a basic term of
+Berlin and Kay, or a word that means one, votes for that term at colours near its own in CIE Lab:
 
     p(term | colour) ~ sum over names of that term of exp(-|Lab(colour) - Lab(name)|^2 / (2 sigma^2))
 
@@ -29,14 +29,14 @@ GREY_OF_BGR = np.array([0.114, 0.587, 0.299], np.float32)  # ITU-R BT.601
 GREY_OF_GREY = np.array([1.0, 0.0, 0.0], np.float32)
 
 TERMS = ("black", "blue", "brown", "grey", "green", "orange", "pink", "purple", "red", "white", "yellow")
-# Names in the survey that mean one of the terms without containing it; the rest vote by their nearest kin.
+# Names in the survey that mean one of the terms without containing it.
 KIN = {
     "gray": "grey", "tan": "brown", "beige": "brown", "violet": "purple", "lavender": "purple", "magenta": "pink",
     "teal": "green", "olive": "green", "navy": "blue", "cyan": "blue", "maroon": "red", "gold": "yellow",
     "mauve": "purple", "turquoise": "green", "salmon": "pink", "peach": "orange", "cream": "white", "aqua": "blue",
     "lime": "green", "rose": "pink", "lilac": "purple", "indigo": "purple", "crimson": "red", "khaki": "brown",
 }  # fmt: skip
-SIGMA_LAB = 10.0  # about the spread of what one common name is used for
+SIGMA_LAB = 10.0  # about the spread of the colours of one common name
 LEVELS = 32  # per channel of the table: 8 grey levels a step, as usual for colour-name tables
 CHANNELS = len(TERMS) - 1
 STEP = 256 // LEVELS
@@ -118,16 +118,16 @@ def colour_names_numpy(patch: UInt8, cell: int, names: Float32) -> Float32:
 
 
 def _levels(cell: int) -> int:
-    """In how many steps a name of one pixel is counted, so that the sum over a cell fits its field."""
+    """The number of quantisation levels of a name, chosen so that the sum over a cell fits its field."""
     return (2**FIELD - 1) // cell**2
 
 
 @functools.lru_cache(maxsize=2)
 def packed_table(cell: int) -> UInt64:
-    """`table` as `colours` wants it, (LEVELS^3, 4) words and flat: name n is in word n % 4, field n // 4.
+    """`table` packed for `Colours`, (LEVELS^3, 4) words and flat: name n is in word n % 4, field n // 4.
 
-    From -1..1 each name becomes 0.._levels(cell): whole numbers of ten names are added up four words at a time, to the
-    same sum in any order.
+    Each name is quantised from -1..1 to 0.._levels(cell): ten integers are summed four words at a time, with the same
+    result in any order.
     """
     counted = np.rint((table() + 1) / 2 * _levels(cell)).astype(np.uint64)
     fields = np.pad(counted, ((0, 0), (0, 3 * WORDS - CHANNELS))).reshape(-1, 3, WORDS)

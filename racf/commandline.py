@@ -22,7 +22,7 @@ __all__ = ["StopReported", "UsageError", "guarded", "parse", "run"]
 
 CommandT = TypeVar("CommandT")
 
-_PARSING = re.compile(r"^Error parsing (?!-)\S+: ")  # before what a dataclass of ours says itself
+_PARSING = re.compile(r"^Error parsing (?!-)\S+: ")  # the prefix before an error from a dataclass of ours
 _VALUE = re.compile(
     r"^Error parsing (-\S+): (?:could not convert string to (float)|invalid literal for int\(\).*): (.*)$"
 )
@@ -30,13 +30,13 @@ _OPTION = re.compile(r"^Error parsing (-\S+): (.*)$")
 _CHOICE = re.compile(r"^invalid choice (.+) for argument '(\S+)'\. Expected one of \((.*)\)\.$")
 _UNKNOWN = re.compile(r"^Unrecognized options: (.*)$")
 STOPPED_S = 0.5
-"""Maximum wait for a terminal that Ctrl-S stopped: the program must end, and its exit status tells of failure."""
+"""Maximum wait for a terminal that Ctrl-S stopped: the program must end, and its exit status shows the failure."""
 
-_FRAME = re.compile(r"[─-╿]+|-{5,}")  # the block of box-drawing characters; dashes where the output is not UTF-8
+_FRAME = re.compile(r"[─-╿]+|-{5,}")  # the block of box-drawing characters; dashes if the output is not UTF-8
 
 
 class StopReported(KeyboardInterrupt):
-    """The program ended before it did what it was to do, and has said so and what is left."""
+    """The program ended before its work was done, and has already reported that."""
 
 
 def run(
@@ -77,14 +77,14 @@ def guarded(work: Callable[[], None], *, prog: str, failures: tuple[type[Excepti
     except KeyboardInterrupt:
         return _complain(prog, "stopped before it was done (Ctrl-C or SIGTERM)", 1)
     except BrokenPipeError:
-        return 1  # the reader of our output closed it: nobody reads a message
+        return 1  # the reader of our output has closed it, so there is no message
     except (OSError, ValueError, *failures) as error:
         return _complain(prog, plain(error) if isinstance(error, OSError) else error, 1)
     return 0
 
 
 def plain(error: OSError) -> str:
-    """The error without its number: what the system says of which file, or the sentence that it was raised with."""
+    """The error without its number: the file and the system's text, or the sentence that it was raised with."""
     if error.filename is None or not error.strerror:
         return str(error)
     return f"{str(error.filename)!r}: {error.strerror}"
@@ -133,7 +133,7 @@ def one_line(framed: str) -> str:
 
 
 def _unknown(words: Sequence[str], framed: str) -> str:
-    """What to say of words that tyro does not know; `framed` also holds its suggestions."""
+    """The error message for words that tyro does not know; `framed` also holds its suggestions."""
     footer = " ".join(_FRAME.sub(" ", framed).split())
     options = [word for word in words if word.startswith("-")]
     if options:

@@ -1,7 +1,7 @@
 """Whether a response can be trusted, compared with this target's usual responses.
 
-PSR depends on the target and its surroundings (5 for a dozen pixels, 15 for a striking cyclist), so no fixed threshold
-works; the ratio to its own running mean does.  The same holds for the response's peak over the model's own.
+PSR depends on the target and its surroundings (5 for a dozen pixels, 15 for a high-contrast cyclist), so no fixed
+threshold works; the ratio to its own running mean does.  The same holds for the response's peak over the model's own.
 """
 
 import math
@@ -13,13 +13,13 @@ FEATURELESS = 0.5
 """Highest confidence in a target without features."""
 
 OF_A_START = 2.5
-"""Least product of PSR and peak in the frames after the start, when no usual values are known.  Over the model's own
-peak, a target has 2.7 at least (400 starts in 20 sequences, all but one, of PSR 4); of the places beside it in the same
-images with a PSR of 5, in 21 sequences, one in twenty has as much, none 3 [measured]."""
+"""Least product of PSR and peak (over the model's own) in the frames after the start, before the running means exist.
+Targets have at least 2.7, in all but one (PSR 4) of 400 starts in 20 sequences.  Of positions beside the target with a
+PSR of 5, in the same images of 21 sequences, one in twenty reaches 2.7 and none 3 [measured]."""
 
 
 class Verdict(Enum):
-    """What a frame's response allows: learn from it; follow it, without learning; or neither."""
+    """The verdict on a frame's response: learn from it; follow it without learning; or neither."""
 
     CLEAR = "clear"
     DOUBTFUL = "doubtful"
@@ -27,7 +27,7 @@ class Verdict(Enum):
 
 
 def ramp(confidence: float, low: float, high: float) -> float:
-    """How far a confidence has come from `low` to `high`: 0 up to `low`, 1 from `high` on, also if `low` is as high."""
+    """Linear ramp of a confidence: 0 up to `low`, 1 from `high` on, also if `low` equals `high`."""
     if confidence >= high:
         return 1.0
     return max(confidence - low, 0.0) / (high - low) if low < high else 0.0
@@ -36,20 +36,20 @@ def ramp(confidence: float, low: float, high: float) -> float:
 class Confidence:
     """Running means of PSR and peak, and the verdicts that follow from them.
 
-    What began `featureless` is never believed, however sharp its responses are: `racf.texture`.
+    A target that started `featureless` is never found, however sharp its responses are: `racf.texture`.
     """
 
     def __init__(self, params: Params, *, featureless: bool = False) -> None:
         self.params, self.most = params, FEATURELESS if featureless else 1.0
         self.lost_frames = 0
         self._frames = 0
-        self._psr, self._value = 0.0, 1.0  # 1: what the filter answers to the model that it was learned from
+        self._psr, self._value = 0.0, 1.0  # 1 is the filter's response to the model that it was learned from
 
     def ratio(self, psr: float, value: float) -> float:
-        """The geometric mean of both over their usual values, in 0..1.
+        """The geometric mean of both over their running means, in 0..1.
 
-        The usual PSR counts as `usual_psr_max` at most, so that a sharp response is not doubted for having been sharper
-        before, and as `usual_psr_min` at least, so that a target without features is doubted.
+        The running mean of PSR is capped at `usual_psr_max`, so that a sharp response after even sharper ones is not
+        doubted, and is at least `usual_psr_min`, so that a target without features is doubted.
         """
         usual_psr = min(max(self._psr, self.params.usual_psr_min), self.params.usual_psr_max)
         peak = max(value / self._value, 0.0) if self._value > 0 else 1.0
@@ -57,12 +57,12 @@ class Confidence:
 
     def judge(self, psr: float, value: float, near: bool = True) -> Verdict:
         """The verdict on a frame.  A lost target is found again by a response of at least `regain_above`
-        that is near the place where it is expected.
+        that is near the expected position.
 
-        Clear frames make the running means.  Others count too, though slowly: a target that stays changed becomes
-        normal in the end.  The first `settle_frames` are clear unless their PSR is below `least_psr`, or PSR times peak
-        below OF_A_START (the target was gone before it was seen again): the very first response, of a filter that has
-        seen one image to a second that is nearly the same, can be far sharper than any later one.
+        Clear frames update the running means.  Others do so more slowly, so that a target that stays changed is
+        accepted in the end.  The first `settle_frames` are clear unless their PSR is below `least_psr`, or PSR times
+        peak below OF_A_START (the target vanished right after the start): the very first response, to an image nearly
+        the same as the only one that was learned, can be far sharper than any later one.
         """
         params, ratio = self.params, self.ratio(psr, value)
         self._frames += 1
@@ -75,7 +75,7 @@ class Confidence:
         clear = settling or (ratio >= params.learn_above and not self.lost_frames)
         rate = params.confidence_rate if clear else params.confidence_rate_doubtful
         if clear:
-            rate = max(rate, 1.0 / self._frames)  # the plain mean, until it is as long as the memory
+            rate = max(rate, 1.0 / self._frames)  # the plain mean while there are fewer frames than the memory
         self._psr += rate * (psr - self._psr)
         self._value += rate * (value - self._value)
         if self.lost_frames:

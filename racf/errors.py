@@ -1,12 +1,12 @@
-"""Errors of this project that a caller may want to tell from others."""
+"""Errors of this project that a caller may want to distinguish."""
 
 
 class UsageError(ValueError):
-    """What was asked for cannot be done; the message is one sentence for a person."""
+    """The request cannot be carried out; the message is one sentence for a person."""
 
 
 class TrackerError(ValueError):
-    """A tracker failed; the message names it, the frame, and what it said."""
+    """A tracker failed; the message names it, the frame, and its error."""
 
 
 class VideoError(ValueError):

@@ -12,7 +12,7 @@ Float32 = NDArray[np.float32]
 class Features:
     """Turns patches of one size into (cols, rows, D) float32, first axis across; D is 42 for colour, 32 for grey.
 
-    What `extract` returned is overwritten by its next call.
+    The next call of `extract` overwrites the returned array.
     """
 
     def __init__(self, rows: int, cols: int, cell: int, colour: bool) -> None:

@@ -9,9 +9,9 @@ of samples; a hat is `_f`.  Spectra are (2, H, Wf, D) float32 planes (see `racf.
 eta = theta = tau = 0; ARCF adds gamma/(2T) |M' - M|^2 (Eq. 2), which turns the data term into
 (1 + gamma) |M - (y + gamma M') / (1 + gamma)|^2 / (2T).
 
-Eq. 3 as printed lacks the 1/T: beside data and residue, lambda, theta and tau weigh T times as much here as they would
-there.  The published trackers of this family do so with mu: their transform is not unitary, so that their mu stands for
-T mu in the step of g, which `shift` below is; the step of f (Eq. 8) has mu beside lambda, theta and tau as printed.
+Eq. 3 as printed lacks the 1/T: relative to data and residue, lambda, theta and tau weigh T times as much here as there.
+The published trackers of this family do the same with mu: their transform is not unitary, so their mu means T mu in the
+step of g, which `shift` below is; the step of f (Eq. 8) has mu beside lambda, theta and tau as printed.
 """
 
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ from racf.params import Params
 
 Float32 = NDArray[np.float32]
 UInt32 = NDArray[np.uint32]
-Scalar = np.float32  # a Python float would turn the compiled sums into doubles
+Scalar = np.float32  # a Python float would make the compiled sums double precision
 
 
 def bowl_weight(rows: int, cols: int, rim: float) -> Float32:
@@ -93,7 +93,7 @@ def _products(
 
 @inlined
 def _shares(of: Float32, which: int, label: Float32, place: int, eta: Scalar, mu: Scalar, gain: Scalar) -> None:
-    """The inner products become p and q of mu g = v + p x - q delta, for the right-hand side y x + v at one frequency.
+    """Turn the inner products into p and q of mu g = v + p x - q delta, for right-hand side y x + v at one frequency.
 
     A1^-1 r = (r - eta delta (delta^H r) / (mu + eta delta^H delta)) / mu;  g = A1^-1 r - A1^-1 x s.
     """

@@ -1,7 +1,7 @@
-"""The optical flow of a target's pixels and of what surrounds it, from one image to the next.
+"""The optical flow of a target's pixels and of its surroundings, from one image to the next.
 
-The flow [Lucas and Kanade 1981] of two sets of points, in the box and around it; those whose flow does not lead back to
-where they were [Kalal 2010] are dropped.  Large targets are shrunk, so that any target costs the same.
+The flow [Lucas and Kanade 1981] of two sets of points, in the box and around it; points that fail the forward-backward
+check [Kalal 2010] are dropped.  Large targets are shrunk, so that every target takes the same time.
 """
 
 import math
@@ -18,17 +18,17 @@ Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 
 SIDE_PX = 56.0  # root of the area to which larger targets are shrunk
-MARGIN_PX = 6.0  # around the box, beside half its side
+MARGIN_PX = 6.0  # of the patch around the box, in addition to half its side
 INSIDE = 6  # points in each direction
 AROUND = 0.7  # sides of the box from its centre to the ring of points around it
 EDGE = 8  # points along each edge of that ring
 WINDOW, SMALL_WINDOW = (13, 13), (9, 9)  # the small one in patches below SMALL_PX
 SMALL_PX = 60
-BACK_PX = 1.0  # furthest from where a point was, by the flow there and back
-LEAST_POINTS = 8  # of either kind, or they say nothing
+BACK_PX = 1.0  # largest forward-backward error
+LEAST_POINTS = 8  # fewer points of a kind are no measurement
 CLEAR_PX = 1.0  # of the patch, between the box and the window around a point of the ground
-# The ground moves as one if half of its points differ from their median by at most this share of the target's side,
-# or this many pixels of the patch, whichever is more.
+# The ground has one motion if half of its points differ from their median by at most this fraction of the target's
+# side, or this many pixels of the patch, whichever is more.
 MOST_SPREAD, MOST_SPREAD_PX = 0.03, 0.5
 
 _NOTHING = np.zeros((0, 2), np.float32)
@@ -46,13 +46,13 @@ _RING = np.array([at for at in _places(np.linspace(-1.0, 1.0, EDGE)) if np.abs(a
 
 
 class Flow:
-    """Remembers the target's box and what surrounds it; tells where points of them went in the next image."""
+    """Keeps the target's box and its surroundings; computes the flow of their points to the next image."""
 
     def __init__(self) -> None:
         self.forget()
 
     def forget(self) -> None:
-        """Nothing is known of the next image."""
+        """Forget the box and both images."""
         self.box: Box | None = None
         self._next: UInt8 | None = None
 
@@ -63,24 +63,24 @@ class Flow:
         self._patch = self._seen(image, box)
 
     def look(self, image: UInt8, dx: float, dy: float) -> None:
-        """Look at the next image, about `dx`, `dy` px away from the remembered box."""
+        """Take the next image, with the target about `dx`, `dy` px away from the remembered box."""
         if self.box is not None:
             self._next, self._moved = self._seen(image, self.box.moved(dx, dy)), np.array([dx, dy])
             self._size = image.shape[1::-1]
 
     def inside(self) -> tuple[Float32, Float32, Float32]:
-        """Points in the box whose flow leads back, before and after (n, 2), in pixels of the patch, and how far off."""
+        """Points in the box before and after (n, 2), in pixels of the patch, and their forward-backward error."""
         return self._flow(_INSIDE)
 
     def around(self) -> tuple[Float32, Float32]:
-        """The same of points around the box, before and after."""
+        """Points around the box, before and after."""
         return self._flow(AROUND * _RING)[:2]
 
     def ground(self) -> tuple[float, float] | None:
-        """How far what surrounds the box moved, in px of the image; None where that is unknown or not one motion."""
+        """How far the box's surroundings moved, in px of the image; None if unknown or not one motion."""
         if self.box is None:
             return None
-        clear_px = (_window(self._patch)[0] / 2 + CLEAR_PX) / self.zoom  # or the windows would see the target itself
+        clear_px = (_window(self._patch)[0] / 2 + CLEAR_PX) / self.zoom  # keeps the windows off the target itself
         away = [max(AROUND, 0.5 + clear_px / side) for side in (self.box.w, self.box.h)]
         before, after, _ = self._flow(_RING * away)
         if len(before) < LEAST_POINTS:
@@ -94,7 +94,7 @@ class Flow:
         return dx, dy
 
     def _seen(self, image: UInt8, box: Box) -> UInt8:
-        """The box and what surrounds it, in grey, shrunk."""
+        """The box with its surroundings, in grey, shrunk."""
         around, zoom = math.sqrt(box.area) + 2 * MARGIN_PX, self.zoom
         wide, high = (round((side + around) * zoom) for side in (box.w, box.h))
         planes = resample(image, box.centre_x, box.centre_y, wide / zoom, high / zoom, wide, high)
@@ -110,7 +110,7 @@ class Flow:
         from_centre = places * (box.w, box.h)
         first = from_centre + np.array([box.centre_x, box.centre_y])
         second = first + self._moved
-        # What lies beyond the edge are repeated pixels, which do not grow.
+        # Beyond the image's edge there are only repeated pixels, which do not grow.
         inside = np.all((first >= 0) & (first <= size) & (second >= 0) & (second <= size), axis=1)
         points = (from_centre[inside] * self.zoom + np.array(self._next.shape[::-1]) / 2 - 0.5).astype(np.float32)
         if len(points) == 0:
@@ -127,7 +127,7 @@ def _window(patch: UInt8) -> tuple[int, int]:
 
 
 def _followed(before: UInt8, after: UInt8, points: Float32) -> tuple[Float32, NDArray[np.bool_]]:
-    """Where points (n, 2) went, and which of them were followed (n,)."""
+    """The new positions of points (n, 2), and which of them were tracked (n,)."""
     at = points[:, None]
     moved, seen, _ = cv2.calcOpticalFlowPyrLK(
         before, after, at, np.empty_like(at), winSize=_window(before), maxLevel=1, criteria=_SEARCH

@@ -1,7 +1,7 @@
 """Discrete Fourier transforms as dense matrix products.
 
-A filter lives on a small m x n support, so most of a transform between it and the H x W grid would work on zeros;
-matrix products skip them, and at these sizes (H, W about 50, D = 42) they beat an FFT by far and are no slower on the
+A filter has a small m x n support, so most of a transform between it and the H x W grid would work on zeros; matrix
+products skip them, and at these sizes (H, W about 50, D = 42) they are far faster than an FFT, and no slower on the
 full grid.
 
 Both axes count positions from the middle, so that cosines are even and sines odd in them: the sums and the differences
@@ -10,9 +10,8 @@ of the entries at +j and -j ("folded") take one product each with a quarter of t
     (2, H//2 + 1, 2, W//2 + 1, D) = (P and Q, frequency down k, real and imaginary, frequency across, channel)
 
 holds X_k = P_k - i Q_k and X_-k = P_k + i Q_k, of the non-redundant half of the frequencies across.  Samples and
-filters are (W, H, D) and (n, m, D), the first axis across: a transform's first product then has one operand.  Sums and
-multiples of spectra are those of P and Q; what is not linear goes through `unfolded` and `folded`, or does the same in
-its kernel.
+filters are (W, H, D) and (n, m, D), the first axis across: a transform's first product then has one operand.  Linear
+operations act on P and Q directly; others go through `unfolded` and `folded`, or do the same in their kernel.
 """
 
 import functools
@@ -31,7 +30,7 @@ class PrunedDft:
     """Transforms between a `rows` x `cols` grid, its centred `support` = (m, n) part, and folded spectra.
 
     Position 0 of the transforms is the grid's middle (rows//2, cols//2): a filter and a sample that are both centred
-    there correlate to a peak at zero shift.  Each transform returns an array of its own unless it is given `out`.
+    there correlate to a peak at zero shift.  Each transform returns a new array unless `out` is given.
     """
 
     def __init__(self, rows: int, cols: int, support: tuple[int, int], channels: int) -> None:
@@ -41,7 +40,7 @@ class PrunedDft:
         self._support = _Plan(cols, rows, (support[1], support[0]), channels)
 
     def weights(self) -> NDArray[np.float64]:
-        """(W//2 + 1,): how many of the full spectrum's columns each kept one stands for."""
+        """(W//2 + 1,): how many of the full spectrum's columns each kept one represents."""
         return _counts(self.cols)
 
     def forward(self, x: Float32, out: Float32 | None = None) -> Float32:
@@ -53,16 +52,16 @@ class PrunedDft:
         return self._support.forward(f, np.empty(self.shape, np.float32) if out is None else out)
 
     def inverse_support(self, g_f: Float32, out: Float32 | None = None) -> Float32:
-        """P^T F^-1 g: the (n, m, D) part around the middle of what has this folded spectrum."""
+        """P^T F^-1 g: the (n, m, D) part around the middle of the inverse transform."""
         shape = (self.support[1], self.support[0], self.shape[-1])
         return self._support.inverse(g_f, np.empty(shape, np.float32) if out is None else out)
 
 
 def move(spectrum: Float32, dy: float, dx: float, shape: tuple[int, int], scratch: Float32) -> None:
-    """Turn the folded spectrum of a grid of this (H, W) into that of what lies `dy` down and `dx` across, circularly.
+    """Shift a grid of this (H, W) circularly by `dy` down and `dx` across, in its folded spectrum.
 
-    X_k turns by exp(2 pi i k dy / H), so that P and Q turn into each other, and across real and imaginary parts.  The
-    frequency in the middle of an even axis has no side to turn to.
+    X_k is multiplied by exp(2 pi i k dy / H), which rotates P and Q into each other, and across the real and imaginary
+    parts.  The Nyquist frequency of an even axis is not rotated.
     """
     _, below, _, half, channels = spectrum.shape
     flat, between, (down, across) = spectrum.reshape(-1), scratch.reshape(-1), _pairs_to_turn(below, half, channels)
@@ -71,7 +70,7 @@ def move(spectrum: Float32, dy: float, dx: float, shape: tuple[int, int], scratc
 
 
 def _turns(by: float, size: int) -> Float32:
-    """(N//2 + 1, 4): the weights for `_combined` that turn a pair at each frequency of an axis."""
+    """(N//2 + 1, 4): the weights for `_combined` that rotate a pair at each frequency of an axis."""
     turn = 2 * np.pi * by / size * np.arange(size // 2 + 1)
     if size % 2 == 0:
         turn[-1] = 0.0
@@ -105,10 +104,10 @@ def folded(frequencies: Complex) -> Float32:
 
 @functools.lru_cache(maxsize=16)
 def places(rows: int, half: int, channels: int) -> UInt32:
-    """(H//2 + 1) (W//2 + 1) times 6: where a pair of frequencies is in flat arrays, k down slowest.
+    """(H//2 + 1) (W//2 + 1) times 6: indices of a pair of frequencies in flat arrays, k down slowest.
 
-    Of a folded spectrum: where the channels of P's real and imaginary part and of Q's begin; of (H, W//2 + 1): the
-    frequency k down, and -k.
+    In a folded spectrum: the first channels of P's real and imaginary part and of Q's; in (H, W//2 + 1): the frequency
+    k down, and -k.
     """
     k, n = (axis.ravel() for axis in np.mgrid[: rows // 2 + 1, :half])
     p, q = 2 * k * half + n, 2 * (rows // 2 + 1 + k) * half + n
@@ -133,9 +132,9 @@ def _waves(size: int, count: int) -> tuple[Float32, Float32]:
 
 
 def _halves(pair: Float32) -> Float32:
-    """Two matrices (2, ..., N) as (2, 2, rows, N/2), each cut into its left and its right half if N is even.
+    """Two matrices (2, ..., N) as (2, 2, rows, N/2), each split into its left and right half if N is even.
 
-    OpenBLAS packs what takes more than a million products first; halves need no packing: a fifth less for a transform.
+    OpenBLAS packs operands of more than a million products; halves need no packing, which saves a fifth of a transform.
     """
     rows = pair.shape[1]
     width = pair[0].size // rows
@@ -159,7 +158,7 @@ class _Plan:
         self._pairs = np.empty((2, m // 2 + 1, 2, half, channels), np.float32)
 
     def _planes(self) -> Float32:
-        """All but the row of zeros, a view: a copied plan has its own."""
+        """A view of all but the row of zeros; made on each call, so that a copied plan has its own."""
         return self._padded[: np.prod(self._of_planes)].reshape(self._of_planes)
 
     def forward(self, x: Float32, out: Float32) -> Float32:
@@ -207,8 +206,8 @@ def _combined(x: Float32, rows: UInt32, weights: Float32, channels: int, out: Fl
 def _pairs_down(half: int, m: int, channels: int) -> tuple[UInt32, UInt32]:
     """Rows for `_combined`: planes (2, W//2 + 1, m, D) to pairs (2, m//2 + 1, 2, W//2 + 1, D), and back.
 
-    Sums and differences over positions +j and -j.  The middle, and the one at -m/2, have no partner: it is a row of
-    zeros after the planes, and what would become of it is written there.
+    Sums and differences over positions +j and -j.  The middle, and the one at -m/2, have no partner: a row of zeros
+    after the planes stands in for it, and takes its output.
     """
     middle = m // 2
     j, part, k = (axis.ravel() for axis in np.mgrid[: middle + 1, :2, :half])

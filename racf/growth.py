@@ -1,13 +1,13 @@
 """How much the target grew from one image to the next, by the optical flow of its own pixels.
 
-The scale filter knows the target as it was over some forty frames and answers in steps; one that grows by 4 % a frame
-leaves it behind.  The flow of a grid of points has no memory: it knows the change between two images alone, and its
-errors add up.  So it predicts the size, and the scale filter corrects it.
+The scale filter has a memory of some forty frames and answers in steps, so it lags behind a target that grows by 4 % a
+frame.  The flow of a grid of points has no memory: it measures only the change between two images, and its errors add
+up.  So it predicts the size, and the scale filter corrects it.
 
-Of the points those count that agree best on one similarity (RANSAC).  Where few agree (a walker's limbs) nothing is
-predicted, nor where what surrounds the box moves in the same way: then it may be the ground that was measured, or a
-tree, and a box that grows with it holds ever less of the target.  What comes nearer grows in width and height alike;
-ground that slides beside the target, or a car that turns, seems to grow in one of them, so that the lesser is believed.
+Only the points that agree best on one similarity count (RANSAC).  Nothing is predicted if few agree (a walker's limbs),
+nor if the box's surroundings move in the same way: then the flow may be that of the ground or a tree, and a box that
+grows with it holds ever less of the target.  An approaching target grows equally in width and height; ground that
+slides past it, or a turning car, seems to grow in only one of them, so the smaller growth counts.
 Numbers are measured: docs/notebook.md, "The size by optical flow".
 """
 
@@ -22,14 +22,14 @@ from racf.flow import LEAST_POINTS, Flow
 Float32 = NDArray[np.float32]
 
 LEAST_SIDE_PX = 20.0  # of the box: fewer pixels have no flow
-AGREE = 0.0075  # of the target's side: how near a point must be to where the similarity puts it
-LEAST_AGREEING = 0.5  # share of the points inside, of those whose flow leads back best, that must agree
-MOST_ALIKE = 0.5  # share of those around that may agree also
-MOST = 0.1  # largest change that is believed, of the size's logarithm: a factor of 1.1 a frame
+AGREE = 0.0075  # largest error of an inlier of the similarity, in sides of the target
+LEAST_AGREEING = 0.5  # least fraction of inliers among the better half of the points inside
+MOST_ALIKE = 0.5  # largest fraction of the points around that may also be inliers
+MOST = 0.1  # limit on the change of the size's logarithm: a factor of 1.1 a frame
 
 
 def growth(flow: Flow) -> float:
-    """The target's size in the image that the flow looked at over the remembered one; 1 if it cannot be told."""
+    """The target's size in the flow's next image over that in the remembered one; 1 if it cannot be measured."""
     box = flow.box
     if box is None or min(box.w, box.h) < LEAST_SIDE_PX:
         return 1.0
@@ -39,7 +39,7 @@ def growth(flow: Flow) -> float:
     best, within = apart <= np.median(apart), AGREE * math.sqrt(box.area) * flow.zoom
     before, after = before[best], after[best]
     similarity, agree = cv2.estimateAffinePartial2D(before, after, ransacReprojThreshold=within)
-    if np.mean(agree) < LEAST_AGREEING:  # none agrees where there is no similarity
+    if np.mean(agree) < LEAST_AGREEING:  # all 0 if there is no similarity
         return 1.0
     grown = _log_growth(before[agree[:, 0] == 1], after[agree[:, 0] == 1])
     if grown == 0.0:

@@ -1,10 +1,10 @@
-"""A target that was moving over the ground and halts as its confidence falls: it may go on, hidden.
+"""A box that stops on the ground while its confidence falls: the target may have gone on, occluded.
 
-A lamp, a tree or a bridge comes over the target and takes the box over: it stands on the ground from then on, and the
-smoothed motion forgets that the target was moving.  When it counts as lost some frames later, the place where it is
-expected is where the box stood.  So the motion over the ground is kept from before it halted: a target that is lost
-after that is expected where it would be if it had gone on, over a ground that moves as it is seen to move.  It may also
-have halted in truth, and then something came before it: a match where it stood is as good as one where it is expected.
+A lamp, a tree or a bridge occludes the target and captures the box: the box then stands on the ground, and the smoothed
+motion forgets that the target was moving.  When the target counts as lost some frames later, its expected position
+would be where the box stood.  So the motion over the ground from before the halt is kept: a target that is lost after a
+halt is expected where it would be if it had gone on, relative to the ground's measured motion.  The target may also
+really have halted and then been occluded, so a match where it stood is as good as one at the expected position.
 Numbers are measured: docs/notebook.md, "A target that halts".
 """
 
@@ -19,27 +19,27 @@ from racf.box import Box
 
 Float64 = NDArray[np.float64]
 
-NOW, BEFORE = 8, 20  # frames for which it stands, and for which it moved before them
-LEAST_KNOWN = 0.8  # share of the frames before in which its motion must be known
-LEAST_MOTION = 0.02  # sides of the target a frame: what moves less does not move
-STEADY = 0.5  # least share of the mean motion in either half of the frames before
-STANDS = 0.35  # largest share of it that what halted still has along it; in any direction twice that
-DOUBTED = 0.9  # the confidence must have fallen below it, since it stands or just before
+NOW, BEFORE = 8, 20  # numbers of frames: standing, and moving before that
+LEAST_KNOWN = 0.8  # least fraction of the BEFORE frames with a known motion
+LEAST_MOTION = 0.02  # least motion, in sides of the target per frame: less is standing
+STEADY = 0.5  # least motion in either half of the BEFORE frames, as a fraction of their mean
+STANDS = 0.35  # largest remaining motion of a halted box along the old direction, as a fraction; twice that in any
+DOUBTED = 0.9  # the confidence must have fallen below this since the halt, or up to JUST_BEFORE frames earlier
 JUST_BEFORE = 3  # frames
-MOVES = 0.7  # of the motion before: it moves again, and nothing hid it
-LONGEST = 60  # frames for which it may stand before it is lost, and for which it may go on unseen
+MOVES = 0.7  # at this fraction of the old motion the target moves again: nothing occluded it
+LONGEST = 60  # most frames between halt and loss, and most frames of extrapolation after the loss
 
 
 @dataclass(frozen=True, slots=True)
 class _Frame:
-    """Motion over the ground in sides of the target, None if it is not known, and the confidence."""
+    """Motion over the ground in sides of the target, None if it is unknown, and the confidence."""
 
     motion: tuple[float, float] | None
     confidence: float
 
 
 class Halt:
-    """Keeps the target's motion over the ground, and where a target that halted in doubt would be now."""
+    """Keeps the target's motion over the ground, and the position if it went on after a doubtful halt."""
 
     def __init__(self) -> None:
         self._frames: deque[_Frame] = deque(maxlen=BEFORE + NOW)
@@ -48,12 +48,12 @@ class Halt:
         self._age, self._is_seen = 0, True
 
     def forget(self) -> None:
-        """Nothing is known of its motion."""
+        """Forget the motion."""
         self._frames.clear()
         self._motion = None
 
     def goes_on(self, ground: tuple[float, float] | None, side: float) -> None:
-        """One frame further: the ground moved by `ground` px (None: as before), the target is `side` px large."""
+        """Advance one frame: the ground moved by `ground` px (None: as before), the target is `side` px large."""
         if ground is not None:
             self._ground = np.asarray(ground)
         if self._motion is None:
@@ -69,7 +69,7 @@ class Halt:
         return box if self._motion is None else _around(self._at, box)
 
     def places(self, expected: Box) -> tuple[Box, ...]:
-        """Where a lost target is expected: there, and if it halted also where it stood, for perhaps it stands there."""
+        """Expected positions of a lost target: `expected` and, after a halt, also where it stood."""
         return (expected,) if self._motion is None else (expected, _around(self._stood, expected))
 
     def step(self) -> tuple[float, float] | None:
@@ -99,7 +99,7 @@ class Halt:
         self._frames.append(_Frame(None, 0.0))
 
     def found(self, confidence: float) -> None:
-        """A lost target is found again: where it went is known, how it moved is not."""
+        """A lost target is found again: its position is known, its motion is not."""
         self._motion, self._is_seen = None, True
         self._frames.append(_Frame(None, confidence))
 
@@ -115,7 +115,7 @@ class Halt:
         halves = _mean(earlier[: BEFORE // 2]), _mean(earlier[BEFORE // 2 :])
         if size < LEAST_MOTION or min(float(half @ before) for half in halves) < STEADY * size**2:
             return
-        lately = _mean(latest[NOW // 2 :])  # or a turn would be a halt while it is in the mean
+        lately = _mean(latest[NOW // 2 :])  # checked separately, so that a turn within the mean is not a halt
         stands = all(of @ before < STANDS * size**2 and np.hypot(*of) < 2 * STANDS * size for of in (now, lately))
         if stands and min(frame.confidence for frame in frames[-NOW - JUST_BEFORE :]) < DOUBTED:
             self._motion, self._age = before, 0
@@ -127,5 +127,5 @@ def _around(centre: Float64, box: Box) -> Box:
 
 
 def _mean(frames: list[_Frame]) -> Float64:
-    """The mean motion, in which what is not known counts as none."""
+    """The mean motion; an unknown motion counts as zero."""
     return np.mean([frame.motion or (0.0, 0.0) for frame in frames], axis=0)

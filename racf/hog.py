@@ -22,7 +22,7 @@ ORIENTATIONS = 9
 CHANNELS = 3 * ORIENTATIONS + 4
 CLIP = 0.2
 EPSILON = 2.5e-5  # added to block energies (gradients of a 0..1 image, summed over cells)
-AT_ONCE = 4  # sets of votes that are added up together
+AT_ONCE = 4  # sets of votes that are summed together
 TEXTURE_GAIN = 0.2357  # 1/sqrt(18): each texture channel is a projection, as in Felzenszwalb's Eq. 7
 
 
@@ -74,15 +74,15 @@ Scratch = tuple[UInt32, Float32, Int32, Int32, UInt32, UInt32, Float32, Float32,
 
 
 def scratch(rows: int, cols: int, cell: int, count: int = 1) -> Scratch:
-    """What `fhog` works with on `count` patches of (rows * cell, cols * cell) pixels.
+    """The scratch arrays of `fhog` for `count` patches of (rows * cell, cols * cell) pixels.
 
-    First places among votes, shares of a cell's pixels, rows of pixels, of places and of weights, votes, histograms,
-    energy.
+    First index of each column's votes, weights of a cell's pixels, rows of pixels, indices and weights, votes,
+    histograms, energy.
     """
     width, directions = cols * cell, 2 * ORIENTATIONS
     place = (np.arange(width) + (cell + 1) // 2) // cell
     phase = (np.arange(width) + (cell + 1) // 2) % cell
-    first = (phase * (cols + 1) + place) * directions  # of each column's bins among the votes
+    first = (phase * (cols + 1) + place) * directions  # index of each column's bins in the votes
     at = (np.arange(cell) - (cell + 1) // 2 + 0.5) / cell + 0.5
     phases = -(-cell // AT_ONCE) * AT_ONCE
     shares = np.zeros((2, phases), np.float32)
@@ -120,7 +120,7 @@ def _strongest_gradients(
             line[x + np.uint32(1)] = pixels[here + x]
         line[0], line[cols + 1] = line[1], line[cols]
         for x in range(width):
-            # numba's sums and products of 32 bits have 64, of which half as many are done at once
+            # numba widens 32-bit sums and products to 64 bits, of which only half as many fit into a SIMD register
             dx = np.int32(line[x + np.uint32(2)] - line[x])
             dy = np.int32(np.int32(pixels[lower + x]) - np.int32(pixels[upper + x]))
             square = np.int32(np.int32(dx * dx) + np.int32(dy * dy))
@@ -137,10 +137,10 @@ def _histograms(
 ) -> None:  # fmt: skip
     """Bilinear votes into histograms (N, rows + 2, (cols + 2) 18), of which the cells within the margin are written.
 
-    Neighbours in a row vote for one cell: each of the `cell` columns that share a cell has votes of its own, which are
-    added up when their rows are done.  Otherwise each vote would wait for the one before.  A pixel votes for the row of
-    cells above its middle and for the one below: one half of `votes` belongs to the row that is about to be done, the
-    other to the next.
+    Neighbouring pixels of a row vote for the same cell, so each vote would have to wait for the one before it.  To
+    avoid that, each of the `cell` columns of a cell has votes of its own, which are summed when their row of cells is
+    complete.  A pixel votes for the row of cells above its middle and for the one below: one half of `votes` belongs to
+    the row that is about to be completed, the other to the next.
     """
     count, rows, cols = shape
     width, plane = np.uint32(first.size), (cols + 1) * 2 * ORIENTATIONS

@@ -1,4 +1,4 @@
-"""Folders of images: which files count, in which order, and where numbers are left out.  `follow` reads them alike."""
+"""Folders of images: which files count, in which order, and where numbers are missing.  `follow` also uses this."""
 
 import re
 from collections.abc import Iterable, Sequence
@@ -25,10 +25,10 @@ def natural(path: Path) -> tuple[tuple[int, str], ...]:
 
 
 def positions(paths: Sequence[Path], longest_gap: int | None = None) -> list[int]:
-    """The place of each image in its sequence, from 0; a missing number leaves its place empty.
+    """The index of each image in its sequence, from 0; a missing number leaves a gap.
 
-    Paths are in natural order.  The last number in each name counts if most names are one apart and none is further
-    from the one before than `longest_gap`; otherwise the order alone counts, and no place is empty.
+    Paths are in natural order.  The last number in each name counts if most numbers are one apart and no gap is longer
+    than `longest_gap`; otherwise only the order counts, without gaps.
     """
     ends = [re.search(r"([0-9]{1,18})$", path.stem) for path in paths]
     numbers = [int(end.group(1)) for end in ends if end]

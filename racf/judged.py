@@ -1,11 +1,11 @@
-"""Another tracker's boxes, judged by a tracker of ours: for trackers that always answer, whatever they look at.
+"""Another tracker's boxes, checked by a tracker of ours: for trackers that always return a box, even of a lost target.
 
-Ours finds the target by itself, with its confidence, gate and re-detection, and takes nothing from the other one but
-the target's size.  So they err apart: of the frames in which NanoTrack and `racf,robust` were on one place, the target
-was elsewhere in 0.7 %; NanoTrack alone is elsewhere in 14 % (twenty sequences, docs/confidence.md).  Where they agree
-the answer is the other tracker's box; while they do not, nothing is found.  What lasts is settled in favour of ours,
-which has a confidence: the other tracker starts again on our box.  Where a tracker fails, answers without a box, or
-says itself that it has not found the target, ours follows alone.
+Ours finds the target independently, with its confidence, gate and re-detection, and takes only the target's size from
+the other one.  So their errors are independent: of the frames in which NanoTrack and `racf,robust` agreed, the target
+was elsewhere in 0.7 %; NanoTrack alone is elsewhere in 14 % (twenty sequences, docs/confidence.md).  If both agree, the
+result is the other tracker's box; if not, the target counts as not found.  After a lasting disagreement ours prevails,
+because it has a confidence: the other tracker starts again on our box.  If the other tracker fails, returns no box, or
+reports that it has not found the target, ours follows alone.
 """
 
 import logging
@@ -23,8 +23,8 @@ from racf.tracker import Racf, checked_next, checked_start
 
 LOG = logging.getLogger("racf")
 UInt8 = NDArray[np.uint8]
-AGREE_IOU = 0.3  # least overlap of two boxes on one target: alike, they are half a side apart at most
-MOST_GROWTH = 1.3  # of a side from frame to frame: a filter whose size is wrong by 1.8 in one frame loses its target
+AGREE_IOU = 0.3  # least overlap of two boxes on one target: boxes of one size are at most half a side apart
+MOST_GROWTH = 1.3  # limit on a side's factor per frame: a filter with a size wrong by 1.8 in one frame loses its target
 
 
 class JudgedTracker(Protocol):
@@ -40,11 +40,11 @@ class JudgedTracker(Protocol):
 
 
 class JudgedBoxes(Racf):
-    """The boxes of `tracker` where ours sees the target too, with our PSR, confidence and verdict.
+    """The boxes of `tracker` while ours agrees with them, with our PSR, confidence and verdict.
 
-    After `params.redetect_agree` frames apart, and when ours has found a lost target again, `tracker` starts again.
-    Ours is `racf-,robust`, which takes the tracker's size instead of predicting it, unless `params` says otherwise.  A
-    size that `tracker` slowly gets wrong is not noticed.
+    After `params.redetect_agree` frames of disagreement, and when ours has found a lost target again, `tracker` is
+    restarted.  Ours is `racf-,robust` without prediction of the size, unless `params` is given.  A slowly growing error
+    of the tracker's size is not noticed.
     """
 
     def __init__(self, tracker: JudgedTracker, params: Params | None = None) -> None:
@@ -59,7 +59,7 @@ class JudgedBoxes(Racf):
         return super().init(image, box)
 
     def update(self, image: UInt8, prior: Box | None = None) -> Track:
-        """The tracker's next box if ours agrees, and what ours says of it; `prior`: where the caller expects it.
+        """The tracker's next box if ours agrees, with our verdict; `prior`: where the caller expects it.
 
         The tracker's errors are logged, once after each start.  Raises ValueError as `racf.Racf.update` does.
         """
@@ -87,7 +87,7 @@ class JudgedBoxes(Racf):
         return self._box.iou(theirs) >= AGREE_IOU
 
     def _estimate_scale(self, image: UInt8) -> None:
-        """The size is the other tracker's, while it is on the same place."""
+        """Take the size of the other tracker, while both agree."""
         if self._theirs is not None and self._agrees(self._theirs):
             at, theirs = self._box, self._theirs
             w = min(max(theirs.w, at.w / MOST_GROWTH), at.w * MOST_GROWTH)
@@ -95,10 +95,10 @@ class JudgedBoxes(Racf):
             self._box = self._kept_inside(Box.around(at.centre_x, at.centre_y, w, h))
 
     def _learn_scale(self, image: UInt8) -> None:
-        """Nothing: the other tracker knows the size."""
+        """Do nothing: the size comes from the other tracker."""
 
     def _answer(self, image: UInt8) -> Box | None:
-        """The tracker's next box, None if it fails or says itself that it has not found the target."""
+        """The tracker's next box, None if it fails or reports that it has not found the target."""
         try:
             track = self.tracker.update(image)
             box, has_found = cast("object", track.box), track.found

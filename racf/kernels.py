@@ -1,4 +1,4 @@
-"""How this package compiles its kernels, and what it says about it.
+"""Compilation of this package's kernels, and the messages about it.
 
 numba compiles a kernel the first time it runs and keeps the machine code beside the source, or in the user's cache
 folder; a read-only installation without a home has neither, and compiles in each process.
@@ -20,13 +20,13 @@ def compiled(function: CallableT) -> CallableT:
     """Decorate a kernel: compiled by numba when it first runs, and cached if there is a folder for that.
 
     A tracker cannot start before all are compiled, so they are written to compile fast.  Scratch arrays are arguments:
-    allocating within costs more to compile than all the rest.  Arrays are flat, at unsigned places: each view of a row
-    costs more than the sums on it, and numba checks signed places, which also keeps loops from vectorising (what an
-    unsigned place and a literal add up to is signed: hence `np.uint32(1)`).  What a loop writes and reads are arrays of
-    their own, or the checks whether they overlap keep it from vectorising.  No kernel calls another: a callee is
-    compiled by itself and then again in each caller, and numba's cache would not notice that its file changed.
+    compiling an allocation takes longer than all the rest.  Arrays are flat, with unsigned indices: each view of a row
+    costs more than the sums on it, and numba checks signed indices, which also prevents vectorisation (the sum of an
+    unsigned index and a literal is signed: hence `np.uint32(1)`).  A loop writes and reads different arrays, because
+    checks for overlap would prevent vectorisation.  No kernel calls another: a callee is compiled by itself and then
+    again in each caller, and numba's cache would not notice a change of its file.
     """
-    # Nothing calls these from C: without the wrapper for that they compile sooner.
+    # Nothing calls these from C: they compile sooner without the C wrapper.
     options: dict[str, Any] = {"fastmath": True, "error_model": "numpy", "no_cfunc_wrapper": True}
     try:
         made: Any = numba.njit(cache=True, **options)(function)
@@ -37,7 +37,7 @@ def compiled(function: CallableT) -> CallableT:
 
 
 def inlined(function: CallableT) -> CallableT:
-    """Decorate a part of a kernel that is worth no call: it is compiled into the kernels that use it."""
+    """Decorate a part of a kernel that is inlined into the kernels that use it."""
     return cast("CallableT", numba.njit(inline="always", fastmath=True, error_model="numpy")(function))
 
 
@@ -49,7 +49,7 @@ class Announcer(event.Listener):
         self.cached = True
 
     def on_start(self, event: Any) -> None:
-        """A compilation begins (loading from the cache does not count)."""
+        """Warn once that a compilation begins (loading from the cache does not count)."""
         if self.said or not _is_ours(event):
             return
         self.said = True
@@ -62,23 +62,23 @@ class Announcer(event.Listener):
             )
 
     def on_end(self, event: Any) -> None:
-        """Nothing to do."""
+        """Do nothing."""
 
 
 class Uninterrupted(event.Listener):
-    """Pauses Python's garbage collection while a kernel of this package is compiled: a twelfth of that time."""
+    """Pauses Python's garbage collection, a twelfth of the time, while a kernel of this package is compiled."""
 
     def __init__(self) -> None:
         self._collected: list[bool] = []
 
     def on_start(self, event: Any) -> None:
-        """A compilation begins, perhaps within another."""
+        """Pause at the start of a compilation, which may be nested in another."""
         if _is_ours(event):
             self._collected.append(gc.isenabled())
             gc.disable()
 
     def on_end(self, event: Any) -> None:
-        """It ended, or failed."""
+        """Resume after its end or failure."""
         if _is_ours(event) and self._collected.pop():
             gc.enable()
 
@@ -92,6 +92,6 @@ _announcer = Announcer()
 
 
 def announce() -> None:
-    """From here on, announce a compilation."""
+    """Register both listeners with numba."""
     event.register("numba:compile", _announcer)
     event.register("numba:compile", Uninterrupted())

@@ -1,10 +1,10 @@
-"""Where the target will be: its smoothed motion."""
+"""The target's smoothed motion, for predicting its position."""
 
 from racf.box import Box
 
 
 class Velocity:
-    """The target's motion per frame: a running mean of what was seen."""
+    """The target's motion per frame: a running mean."""
 
     def __init__(self, rate: float, decay: float) -> None:
         self.rate, self.decay = rate, decay
@@ -16,9 +16,9 @@ class Velocity:
         self.dy += self.rate * (after.centre_y - before.centre_y - self.dy)
 
     def unseen(self) -> None:
-        """A frame without the target: the assumed motion fades."""
+        """Decay the motion in a frame without the target."""
         self.dx, self.dy = self.dx * self.decay, self.dy * self.decay
 
     def forget(self) -> None:
-        """The motion is unknown again."""
+        """Reset the motion to zero."""
         self.dx = self.dy = 0.0

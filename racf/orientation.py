@@ -1,4 +1,4 @@
-"""How a video's images are turned before they are shown: the display matrix of phones and action cameras."""
+"""Rotation of a video's images before display: the display matrix of phones and action cameras."""
 
 import math
 import struct
@@ -19,7 +19,7 @@ class Orientation:
 
     @classmethod
     def of(cls, frame: Any) -> Self:
-        """What a decoded frame's display matrix says; angles in between are rounded to quarter turns."""
+        """The orientation in a decoded frame's display matrix; other angles are rounded to quarter turns."""
         try:
             data = bytes(frame.side_data["DISPLAYMATRIX"])
         except KeyError:
@@ -33,7 +33,7 @@ class Orientation:
         return cls(turn, mirrored)
 
     def applied(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """The image as it is to be shown."""
+        """The image, ready for display."""
         if self.mirrored:
             image = image[:, ::-1]
         return np.ascontiguousarray(np.rot90(image, self.quarter_turns))

@@ -23,8 +23,8 @@ def each(
     `dask` is the address of a scheduler to run on instead; its workers need the same version of the program.  Raises
     ValueError without Dask, OSError if the scheduler does not answer, ChildProcessError if a process dies.
 
-    The first error cancels the jobs that have not begun.  An interruption, or a caller who stops iterating, also ends
-    those that have.
+    The first error cancels the jobs that have not begun.  An interruption, or a caller that stops iterating, also ends
+    the running ones.
     """
     if not jobs:
         return

@@ -1,4 +1,4 @@
-"""What can be set about the tracker: one flat frozen dataclass, and the paper's variants as presets.
+"""The tracker's settings: one flat frozen dataclass, and the paper's variants as presets.
 
 [Paper] is Li et al., "Learning Residue-Aware Correlation Filters and Refining Scale Estimates with the GrabCut for
 Real-Time UAV Tracking" (2021); [ARCF] the published parameters of ARCF-HC, whose features and scale filter the paper
@@ -30,9 +30,9 @@ AT_MOST = {
     "penalty": 1e9, "penalty_growth": 1e9, "penalty_max": 1e9, "label_sigma": 1e3, "scale_sigma": 1e3,
     "scale_ridge": 1e9,
 }  # fmt: skip
-"""Far beyond what any tracker uses: more would take the memory, a frame without end, or leave the range of float32."""
+"""Upper bounds far beyond any use: more would exhaust the memory or the time, or overflow float32."""
 
-# Settings whose least value follows from another one.
+# Settings whose least value depends on another one.
 _FROM = {"sample_min_px": " (4 cell_px)", "sample_max_px": " (sample_min_px)", "scale_model_area_px": " (4 cell_px²)"}
 
 
@@ -97,31 +97,29 @@ class Params:
     redetect: bool = False  # search for a lost target further afield
     tighten: bool = False  # start again on what moves out of a loose first box [measured: docs/confidence.md]
     learn_above: float = 0.6  # gate_learning: least confidence (PSR and peak over their running means) of a clear frame
-    # gate_learning: the model takes a clear frame in with a share of learning_rate, from none at this confidence to all
-    # of it at 1: what slowly hides a target is learned less, one that turns by 45 degrees/s still enough [measured].
+    # gate_learning: a clear frame is learned with a fraction of learning_rate, from 0 at this confidence to 1 at full
+    # confidence: a slow occluder is learned less, a target that turns by 45 degrees/s still enough [measured].
     learn_share_from: float = 0.3
     lost_below: float = 0.5  # the target counts as lost below this confidence
     regain_above: float = 0.7  # a lost target is found again at this confidence
-    # A memory of a hundred clear frames.  At 0.1 the means follow a slow occlusion (PSR 14 to 5 within 0.7 s) down and
-    # the wall is taken for the target [measured, sim wall].
+    # A memory of a hundred clear frames.  At 0.1 the means would follow a slow occlusion (PSR 14 to 5 within 0.7 s)
+    # down, and the tracker would take the wall for the target [measured, sim wall].
     confidence_rate: float = 0.01  # of the running means, in clear frames
     confidence_rate_doubtful: float = 0.002  # of the running means, in other frames: a memory of five hundred
-    usual_psr_max: float = 20.0  # a PSR above it is sharp however sharp it was before [measured]
+    usual_psr_max: float = 20.0  # cap of the running mean: a PSR above it is always sharp [measured]
     usual_psr_min: float = 10.0  # targets with features begin with at least 8 [measured]
-    least_psr: float = 5.0  # a response below it shows no target: sky, noise and black have 3 to 4.5 [measured]
-    settle_frames: int = 5  # frames after the start in which no usual values are known: see `racf.confidence`
+    least_psr: float = 5.0  # a response below it is not the target: sky, noise and black have 3 to 4.5 [measured]
+    settle_frames: int = 5  # frames after the start before the running means are used: see `racf.confidence`
     strict_iou: float = 0.8  # strict_refine: least overlap [measured]
-    # strict_refine: most factor between the box's aspect (w/h) and the first one's.  Segments that were each a little
-    # wider than the box made a walker's box 1.9 times as wide within a second [measured, sim trees].
+    # strict_refine: largest factor between the box's aspect (w/h) and the first one's.  Without it, segments each a
+    # little wider than the box made a walker's box 1.9 times as wide within a second [measured, sim trees].
     strict_aspect: float = 1.25
     velocity_rate: float = 0.35  # predict_motion: rate of the running mean of the motion [measured]
     velocity_decay: float = 0.95  # predict_motion: factor on the motion in each frame without the target
-    redetect_glance: float = (
-        0.35  # redetect: an off-centre candidate, dimmed by the window, is looked at again from here
-    )
-    redetect_near: float = 1.0  # redetect: target's sides from the expected place within which a match is the target
-    redetect_agree: int = 10  # redetect: frames for which matches further away are compared before one is taken
-    redetect_places: int = 4  # redetect: places searched in each frame, a target's side or half a search region apart
+    redetect_glance: float = 0.35  # redetect: least confidence of an off-centre match for a second, centred search
+    redetect_near: float = 1.0  # redetect: a match this near to the expected position, in sides, is the target
+    redetect_agree: int = 10  # redetect: frames for which matches further away are compared before one is accepted
+    redetect_places: int = 4  # redetect: positions searched per frame, a target's side or half a search region apart
     redetect_reach: int = 3  # redetect: most steps to each side
     redetect_patience: int = 10  # redetect: frames lost for each further step
 
@@ -145,7 +143,7 @@ class Params:
             raise ValueError(f"scale_step is above 1, not {self.scale_step}")
 
     def _require_kind(self, name: str, kind: type) -> None:
-        """Raise ValueError unless a setting is of its type; numbers of numpy are."""
+        """Raise ValueError unless a setting is of its type; numpy's numbers are allowed."""
         value = getattr(self, name)
         if kind is bool:
             if not isinstance(value, bool):

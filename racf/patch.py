@@ -1,4 +1,4 @@
-"""From the frame to fixed-size samples: the only file that turns `(x, y)` geometry into `[row, col]` pixels."""
+"""From the frame to fixed-size samples: the only file that converts `(x, y)` geometry to `[row, col]` pixels."""
 
 import math
 from collections.abc import Sequence
@@ -19,9 +19,9 @@ Grids = Float64 | Sequence[tuple[float, float, float, float]]
 def shrunk(image: UInt8, region: tuple[float, float, float, float], factor: int) -> tuple[UInt8, float, float]:
     """The part of `image` under `region` (x, y, w, h), averaged over `factor` x `factor` blocks, as (H, W, C).
 
-    Returns the part and where its top-left corner lies, in the frame's pixels.  Averaging first is what keeps fine
-    texture from aliasing when a large target is resampled; with factor 1 the image itself is returned.  The part is
-    read-only even if the image is not: numba would compile every kernel once for each kind.
+    Returns the part and its top-left corner in the frame's pixels.  Averaging first prevents aliasing of fine texture
+    when a large target is resampled; with factor 1 the image itself is returned.  The part is always read-only, because
+    numba would otherwise compile every kernel twice, for read-only and for writable arrays.
     """
     layered = image if image.ndim == 3 else image[..., None]
     if factor <= 1:
@@ -52,8 +52,8 @@ def _sampled(
 ) -> None:  # fmt: skip
     """See `bilinear`; source (H, W C) and out (N, C, h, w) flat.
 
-    Scratch: places (2, 2, side), weights (2, side), a row of the source with its pixels' values and, packed, with those
-    of their right neighbours also: one that has none has the weight 0.
+    Scratch: places (2, 2, side) are indices, weights (2, side), line is a row of the source, pairs the same with each
+    pixel's right neighbour packed in; a pixel without a neighbour gives it the weight 0.
     """
     rows, cols = shape
     size, width, beside = np.uint32(shape[1]), np.uint32(pairs.size), np.uint32(channels)
@@ -84,7 +84,7 @@ def _sampled(
                 pairs[j] = line[j] | (line[j + beside] << np.uint32(16))
             for c in range(channels):
                 into, of_c = np.uint32(((n * channels + c) * rows + i) * cols), pairs[c:]
-                for j in range(size):  # apart from the sums, which are done on many at once
+                for j in range(size):  # separate from the sums below, so that they vectorise
                     taken[j] = of_c[places[0, 0, j]]
                 for j in range(size):
                     left, right = np.int32(taken[j] & np.uint32(65535)), np.int32(taken[j] >> np.uint32(16))
@@ -95,8 +95,8 @@ def bilinear(source: UInt8, grids: Grids, out: UInt8) -> None:
     """Sample (H, W, C) into (N, C, h, w): the n-th at x = first_x + j step_x, y = first_y + i step_y.
 
     `grids` (N, 4): first_x, step_x, first_y, step_y.  Border pixels repeat.  Axes do not mix, so each row is first
-    blended from two source rows, then each pixel from two of its columns: what `cv2.remap` does with a map, without the
-    map.  Planes, because every later loop wants one channel in a row.
+    blended from two source rows, then each pixel from two of its columns: like `cv2.remap`, but without a map.  The
+    output has planes, because every later loop reads one channel at a time.
     """
     rows, cols, channels = source.shape
     _, _, high, wide = out.shape

@@ -1,4 +1,4 @@
-"""Search for a lost target: near where it is expected first, then further afield, where those that match compete."""
+"""Search for a lost target: near its expected position first, then further away, where several matches compete."""
 
 import math
 from collections.abc import Iterator
@@ -15,13 +15,13 @@ from racf.translation import Match, TranslationFilter
 
 UInt8 = NDArray[np.uint8]
 
-RIVALS = 5  # matches far from the expected place that are compared at a time, the best ones
-LEAST_FRAMES = 3  # in which a rival must have matched before it can be the target
+RIVALS = 5  # most matches far from the expected position that are compared at a time
+LEAST_FRAMES = 3  # least number of frames in which a rival must have matched before it can be the target
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rival:
-    """A match far from the expected place, in how many frames in a row it was one, and their sharpness in sum."""
+    """A match far from the expected position, the number of consecutive frames with it, and their summed sharpness."""
 
     match: Match
     frames: int
@@ -33,13 +33,13 @@ class Rival:
 
 
 class Redetection:
-    """Where to look for a lost target, and which of those that match it is.
+    """Where to search for a lost target, and which match is the target.
 
-    Places to look at: the expected one, the eight a target's side from it, and further ones the longer the target is
-    lost; each frame looks at the next few.  A match near the expected place is the target at once.  One further away
-    may be another that looks like it, while the target itself is still hidden: it is followed for `redetect_agree`
-    frames beside the others that turn up, and the one that matches best in the mean is the target.  When the target
-    has been lost for so long that all places are within its reach, the expected place says little: three frames do.
+    Search positions: the expected one, the eight a target's side from it, and further ones the longer the target is
+    lost; each frame searches the next few.  A match near the expected position is the target at once.  A match further
+    away may be a look-alike while the target itself is still occluded: it is tracked for `redetect_agree` frames
+    together with the other matches, and the best in the mean is the target.  When the target has been lost so long that
+    it may have reached all positions, the expected one is weak evidence, and three frames are enough.
     """
 
     def __init__(self, params: Params) -> None:
@@ -58,9 +58,9 @@ class Redetection:
     def search(
         self, image: UInt8, places: tuple[Box, ...], here: Match, translation: TranslationFilter, confidence: Confidence
     ) -> tuple[Match, Verdict]:
-        """The match that is the target, or `here`, the match at the first of the expected places, if there is none yet.
+        """The match that is the target, or `here`, the match at the first expected position, if there is none yet.
 
-        The search is around the first one, the others are looked at also; a match near any of them is the target.
+        The search spreads around the first position and includes the others; a match near any of them is the target.
         """
         if confidence.lost_frames <= 1:
             self._next, self._rivals = 0, []
@@ -71,7 +71,7 @@ class Redetection:
                 return match, Verdict.CLEAR
             if not any(self.near(match.box, other.match.box) for other in self._rivals):
                 frames, total = (before.frames, before.total) if before is not None else (0, 0.0)
-                sharpness = math.sqrt(match.psr * match.value)  # unlike the confidence, without an upper end
+                sharpness = math.sqrt(match.psr * match.value)  # unlike the confidence it has no upper bound
                 self._rivals.append(Rival(match, frames + 1, total + sharpness))
         early = self._reach(confidence) < self.params.redetect_reach
         agree = self.params.redetect_agree if early else min(LEAST_FRAMES, self.params.redetect_agree)
@@ -83,7 +83,7 @@ class Redetection:
         return max(heard, key=Rival.mean).match, Verdict.CLEAR
 
     def near(self, box: Box, *places: Box) -> bool:
-        """Whether a match is so near an expected place that it needs no comparison."""
+        """Whether a match is near enough to an expected position to need no comparison."""
         return any(
             math.hypot(box.centre_x - place.centre_x, box.centre_y - place.centre_y)
             <= self.params.redetect_near * math.sqrt(place.area)
@@ -97,29 +97,29 @@ class Redetection:
         """The trusted matches of this frame, each with the rival that it continues."""
         for rival in known:
             match = translation.locate(image, rival.match.box)
-            # It is given up as a target that was found is lost.
+            # A rival is dropped at the same confidence at which a found target counts as lost.
             if self._trusted(match, confidence, self.params.lost_below) and self.near(match.box, rival.match.box):
                 yield match, rival
         places = chain(expected[1:], self._turn(image, expected[0], confidence))
         for first in chain([here], (translation.locate(image, place) for place in places)):
-            # A second look, centred: the cosine window no longer dims the match, its surroundings are whole.
+            # Search again, centred on the match, so that the cosine window no longer attenuates it.
             if confidence.ratio(first.psr, first.value) >= self.params.redetect_glance:
                 match = translation.locate(image, first.box)
                 if self._trusted(match, confidence, self.params.regain_above):
                     yield match, None
 
     def _reach(self, confidence: Confidence) -> float:
-        """How far the target may have come since it was lost, in half search regions."""
+        """How far the target may have moved since it was lost, in half search regions."""
         return max(confidence.lost_frames / self.params.redetect_patience, self._least_reach)
 
     def _trusted(self, match: Match, confidence: Confidence, least: float) -> bool:
         return match.psr >= self.params.least_psr and confidence.ratio(match.psr, match.value) >= least
 
     def _turn(self, image: UInt8, expected: Box, confidence: Confidence) -> Iterator[Box]:
-        """The places whose turn it is.
+        """The search positions of this frame.
 
-        A target just lost is near, most likely behind something; when all places are within its reach, the near ones
-        have had their turns.
+        A target just lost is probably near, behind an occluder.  Once all positions are within its reach, the near ones
+        have already been searched.
         """
         rows, cols = image.shape[:2]
         step = math.sqrt(expected.area) * self.params.search_area / 2
@@ -130,7 +130,7 @@ class Redetection:
             again, turn = divmod(self._next, len(reached))
             i, j = reached[turn]
             self._next += 1
-            # Every second time half a step aside: at the edge of what is looked at the window dims the target.
+            # Every second time offset by half a step: at the edge of a search region the window attenuates the target.
             aside = 0.5 * (again % 2) if places is self._further else 0.0
             place = expected.moved((i + aside) * step, (j + aside) * step)
             if 0 <= place.centre_x < cols and 0 <= place.centre_y < rows:

@@ -1,8 +1,8 @@
 """Refining a box with GrabCut (section 4.2), for any tracker: `Refiner.refine` or the wrapper `Refined`.
 
-The image around the box, 1.5 times its size, is resampled to a small fixed square; GrabCut separates what lies in the
-slightly enlarged box from the rest; the smallest box around the largest segment is the second opinion on the size.
-The printed rule (keep the tracker's size if both agree) cannot be meant; as in the paper's prose, the segment's box
+The image around the box, 1.5 times its size, is resampled to a small fixed square; GrabCut separates the slightly
+enlarged box into target and background; the smallest box around the largest segment is the second estimate of the size.
+The rule as printed (keep the tracker's size if both agree) must be an error; as in the paper's prose, the segment's box
 counts only if it overlaps the tracker's by more than a threshold.
 """
 
@@ -36,12 +36,12 @@ class Refinement:
 
 
 class Refiner:
-    """GrabCut around a box, with the parameters `refine_*`; one for each target, since it remembers its colours.
+    """GrabCut around a box, with the parameters `refine_*`; one for each target, because it keeps its colour models.
 
-    Learning GrabCut's two colour models takes longer than cutting with known ones: every second pixel of every second
-    line is enough for them, and as the colours of target and surroundings hardly change from frame to frame, they are
-    renewed every `refine_renew` frames.  While segments keep being rejected, trying is wasted: 1 frame is skipped after
-    the first rejection, then 3, 7, 15 and so on, at most `refine_pause`.
+    Learning GrabCut's two colour models takes longer than segmenting with known ones.  So they are learned from every
+    second pixel of every second line, and only every `refine_renew` frames, because the colours of target and
+    surroundings hardly change.  While segments are rejected it backs off: it skips 1 frame after the first rejection,
+    then 3, 7, 15 and so on, at most `refine_pause`.
 
     As a side effect, learning the models seeds OpenCV's random generator (`cv2.setRNGSeed(0)`), so that equal
     images give equal masks.
@@ -54,7 +54,7 @@ class Refiner:
         self._age = self._pause = self._waiting = 0
 
     def refine(self, image: UInt8, box: Box) -> Refinement | None:
-        """A second opinion on `box`; None if the target is too small or segments were just rejected."""
+        """The refinement of `box`; None if the target is too small, or after recent rejections."""
         params = self.params
         if math.sqrt(box.area) < params.refine_min_target_px:
             return None
@@ -83,7 +83,7 @@ class Refiner:
         x, y, w, h = cv2.boundingRect(mask)
         step_x, step_y = around.w / size, around.h / size
         segment = Box(around.x + x * step_x, around.y + y * step_y, w * step_x, h * step_y)
-        # A segment that reaches the border of what may be foreground was cut off there: its extent is unknown.
+        # A segment that touches the border of the possible foreground is cut off there: its extent is unknown.
         whole = x > left and y > top and x + w < left + cols and y + h < top + rows
         if not whole or segment.iou(box) <= self._min_iou:
             return Refinement(None, segment, mask, around)
@@ -111,10 +111,10 @@ class Refiner:
         return models
 
 
-def blend(box: Box, other: Box, share: float) -> Box:
-    """`share` of the way from one box to another."""
+def blend(box: Box, other: Box, fraction: float) -> Box:
+    """Linear interpolation from one box to another."""
     mix = [
-        (1 - share) * a + share * b
+        (1 - fraction) * a + fraction * b
         for a, b in zip((box.x, box.y, box.w, box.h), (other.x, other.y, other.w, other.h), strict=True)
     ]
     return Box(*mix)
@@ -130,7 +130,7 @@ def _largest_segment(foreground: UInt8) -> UInt8:
 
 
 class OpenCvTracker(Protocol):
-    """What OpenCV's trackers have in common (`cv2.TrackerCSRT` and its kin)."""
+    """The interface of OpenCV's trackers (`cv2.TrackerCSRT` and others)."""
 
     def init(self, image: UInt8, box: tuple[int, int, int, int]) -> object:
         """Start on a box (x, y, w, h)."""
@@ -142,9 +142,9 @@ class OpenCvTracker(Protocol):
 
 
 class Refined:
-    """An OpenCV tracker with the refinement behind it: same `init` and `update`, refined boxes.
+    """An OpenCV tracker followed by the refinement: same `init` and `update`, refined boxes.
 
-    The tracker's own state cannot be corrected from outside, so the refinement here improves its answer, not its model.
+    The tracker's own state cannot be corrected from outside, so the refinement improves its result, not its model.
     """
 
     def __init__(self, tracker: OpenCvTracker, params: Params | None = None) -> None:
@@ -153,12 +153,12 @@ class Refined:
         self.refiner = Refiner(self.params)
 
     def init(self, image: UInt8, box: tuple[int, int, int, int]) -> None:
-        """Start on a box (x, y, w, h); nothing of an earlier target is remembered."""
+        """Start on a box (x, y, w, h); forgets an earlier target."""
         self.tracker.init(image, box)
         self.refiner = Refiner(self.params)
 
     def update(self, image: UInt8) -> tuple[bool, tuple[float, float, float, float]]:
-        """The tracker's answer, its box refined where the segmentation can be trusted."""
+        """The tracker's result, its box refined if the segmentation is trusted."""
         found, box = self.tracker.update(image)
         if not found or box[2] <= 0 or box[3] <= 0:
             return found, box

@@ -1,4 +1,4 @@
-"""The response map: where its peak is, and how sharp it is.  `[row, col]` in, `(x, y)` shifts out."""
+"""The response map: its peak's position and sharpness.  `[row, col]` in, `(x, y)` shifts out."""
 
 import functools
 import math
@@ -15,7 +15,7 @@ Complex64 = NDArray[np.complex64]
 Complex128 = NDArray[np.complex128]
 UInt32 = NDArray[np.uint32]
 
-SETTLED = 1e-4  # cells: after a Newton step below it the next one would be of the order of its square
+SETTLED = 1e-4  # cells: Newton's method stops after a smaller step, because the next one is of the order of its square
 
 
 def correlate(z_f: Float32, g_f: Float32, out: Complex64) -> None:
@@ -90,7 +90,7 @@ def sharpness(response: Float32, target_cells: tuple[float, float]) -> tuple[flo
 
 
 def _slopes(response_f: Complex128, waves: Complex128, row: float, col: float) -> Float64:
-    """First and second derivatives of the response's trigonometric interpolation at a place, times H W.
+    """First and second derivatives of the response's trigonometric interpolation at a position, times H W.
 
     waves: see `_waves`.  out[i, j] is the i-th derivative down and the j-th across.
     """
@@ -117,7 +117,7 @@ def _angles(height: int, width: int) -> tuple[Float64, Float64]:
     half = width // 2 + 1
     angles = np.zeros((2, max(height, half)))
     angles[0, :height] = 2 * np.pi * np.fft.fftfreq(height)
-    if height % 2 == 0:  # the Nyquist row of an even height has no side to lean to
+    if height % 2 == 0:  # the Nyquist row of an even height has no sign
         angles[0, height // 2] = 0.0
     angles[1, :half] = 2 * np.pi * np.arange(half) / width
     counts = np.full(half, 2.0)
@@ -130,7 +130,7 @@ def _angles(height: int, width: int) -> tuple[Float64, Float64]:
 def refine_peak(response_f: Complex64, width: int, row: float, col: float, steps: int) -> tuple[float, float]:
     """Newton steps to the maximum of the response's trigonometric interpolation, from the grid's maximum.
 
-    row, col are shifts in cells; steps that leave the starting cell's neighbourhood are not taken, nor any after one
+    row, col are shifts in cells; it stops before a step that leaves the starting cell's neighbourhood, and after one
     below SETTLED.
     """
     start_row, start_col = row, col

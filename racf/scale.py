@@ -22,12 +22,12 @@ Complex64 = NDArray[np.complex64]
 
 
 class ScaleFilter:
-    """Answers how much larger the target is than it was; `base_w`, `base_h` are its size in the first frame."""
+    """Estimates the change of the target's size; `base_w`, `base_h` are its size in the first frame."""
 
     def __init__(self, params: Params, base_w: float, base_h: float) -> None:
         self.params, cell = params, params.cell_px
-        # In the pixels of the fixed-size sample, as in ARCF: a target of ten pixels is also enlarged before it is
-        # described, or it would be left with a cell or two.
+        # In pixels of the fixed-size sample, as in ARCF: a target of ten pixels is also enlarged first, because
+        # otherwise it would have only a cell or two.
         side = math.sqrt(base_w * base_h) * params.search_area
         zoom = min(max(side, params.sample_min_px), params.sample_max_px) / side
         shrink = min(zoom, math.sqrt(params.scale_model_area_px / (base_w * base_h)))

@@ -1,8 +1,8 @@
-"""Whether a box has anything in it that a tracker can hold: edges in both directions, above the image's noise.
+"""Whether a box has the features that a tracker needs: edges in both directions, above the image's noise.
 
-A patch of sky, noise or a single edge (a horizon, a kerb, stripes) looks the same at another place, so a response on
-it says nothing, however sharp it is.  The structure tensor [Shi and Tomasi 1994] tells: the lesser of its eigenvalues
-is the mean squared gradient in the direction in which the patch changes least.
+A patch of sky, noise or a single edge (a horizon, a kerb, stripes) looks the same at another position, so a response on
+it is no evidence, however sharp it is.  The structure tensor [Shi and Tomasi 1994] decides: the smaller of its
+eigenvalues is the mean squared gradient in the direction in which the patch changes least.
 """
 
 import cv2
@@ -14,17 +14,17 @@ from racf.box import Box
 AROUND = 1.5  # times the box: the target's outline counts also
 SMOOTH_PX = 2.0  # of the Gaussian before the gradient; noise is uncorrelated between pixels, edges are not
 LEAST = 0.25
-"""Root of the lesser eigenvalue, grey levels a pixel, of what can be held.  The blocks of JPEG in a clear sky have up
-to 0.2, something 10 grey levels darker than its surroundings 0.5, the boxes of 21 real sequences 1.5 at least: of their
-4127 frames that were looked at one, under a dark bridge, counts as without features."""
+"""Least root of the smaller eigenvalue, grey levels a pixel.  JPEG blocks in a clear sky have up to 0.2, an object 10
+grey levels darker than its surroundings 0.5, the boxes of 21 real sequences at least 1.5: of the 4127 frames examined
+one, under a dark bridge, counts as featureless."""
 OF_NOISE = 0.06
-"""The same by the standard deviation of the image's noise: white noise of 1 has 0.03."""
+"""The same as a multiple of the noise's standard deviation: white noise of 1 has 0.03."""
 LAPLACIAN = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
-"""Blind to whatever is linear in either direction; of white noise it makes six times its deviation [Immerkaer 1996]."""
+"""Zero for anything linear in either direction; it multiplies white noise's deviation by six [Immerkaer 1996]."""
 
 
 def is_featureless(image: NDArray[np.uint8], box: Box) -> bool:
-    """Whether the box, in an image of (rows, columns[, 3]) in BGR or grey, has no edges in one direction at least."""
+    """Whether the box, in an image of (rows, columns[, 3]) in BGR or grey, lacks edges in at least one direction."""
     rows, cols = image.shape[:2]
     wide = box.scaled(AROUND)
     left, top = max(int(wide.x), 0), max(int(wide.y), 0)
@@ -46,6 +46,6 @@ def weakest_gradient(grey: NDArray[np.float32]) -> float:
 
 
 def noise(grey: NDArray[np.float32]) -> float:
-    """Standard deviation of a patch's white noise, grey levels, by its quietest fifth: a target is full of edges."""
+    """Standard deviation of a patch's white noise, grey levels, by its quietest fifth: a target has many edges."""
     inner = np.abs(cv2.filter2D(grey, cv2.CV_32F, LAPLACIAN))[1:-1, 1:-1]
     return float(np.percentile(inner, 20.0)) / (0.2533 * 6.0)  # of a normal distribution

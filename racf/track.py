@@ -1,4 +1,4 @@
-"""A tracker's answer to one frame."""
+"""A tracker's result for one frame."""
 
 from dataclasses import dataclass, field
 
@@ -10,7 +10,7 @@ from racf.box import Box
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
-    """One frame's answer.
+    """One frame's result.
 
     box: the target's box; search: the region that was searched; both in the image's pixels.
     psr (peak to sidelobe ratio), apce (average peak-to-correlation energy): how sharp the response is.

@@ -40,8 +40,8 @@ class Racf:
         track = tracker.init(image, racf.Box(x, y, w, h))
         track = tracker.update(next_image)  # a racf.Track: box, confidence, found
 
-    A program calls `racf.one_core()` first, because BLAS's threads spin while they wait: on a shared machine of two
-    cores an image takes five to ten times as long without it.
+    Call `racf.one_core()` first, because BLAS's threads spin while they wait: on a shared machine with two cores an
+    image takes five to ten times as long without it.
 
     Images are uint8, (rows, columns, 3) in BGR or (rows, columns) in grey, all of one size.  As a side effect the
     refinement seeds OpenCV's random generator (see `racf.Refiner`).  An unknown preset or setting is a ValueError.
@@ -52,14 +52,14 @@ class Racf:
         self._frame_shape: tuple[int, ...] | None = None
 
     def __copy__(self) -> "Racf":
-        """Copies share nothing: what learns in place would learn in both."""
+        """A deep copy: arrays that are updated in place must not be shared."""
         return deepcopy(self)
 
     def init(self, image: UInt8, box: Box) -> Track:
         """Start on the target in `box`; raises ValueError for an invalid image or a box outside it.
 
-        A target without edges in both directions is never found, not here either: see `racf.texture`.  An earlier
-        target is forgotten.
+        The track of a target without edges in both directions has `found` False, now and later: see `racf.texture`.  An
+        earlier target is forgotten.
         """
         image = checked_start(image, box)
         self._frame_shape = image.shape
@@ -69,7 +69,7 @@ class Racf:
         return self._start(image, box)
 
     def _start(self, image: UInt8, box: Box) -> Track:
-        """Learn the target in `box`, and forget what was learned before."""
+        """Learn the target in `box`, and forget an earlier one."""
         params = self.params
         self._box, inside = box, self._kept_inside(box)
         self._aspect = inside.w / inside.h
@@ -109,7 +109,7 @@ class Racf:
             match, verdict = self._redetection.search(image, places, match, self._filter, self._confidence)
             clock.lap("redetect")
             if verdict is not Verdict.LOST:
-                self._velocity.forget()  # the target jumped here; that is not a velocity
+                self._velocity.forget()  # a re-detection is a jump, not a velocity
                 was_lost = True
                 before = expected = grown = match.box
         if verdict is Verdict.LOST:
@@ -136,7 +136,7 @@ class Racf:
         return self._track(grown, match, refinement, verdict, clock)
 
     def _learn(self, image: UInt8, match: Match, clock: "_Stopwatch") -> Refinement | None:
-        """Scale and refine the box of a trusted match, then learn there; the refinement, if it was tried."""
+        """Scale and refine the box of a trusted match, then learn; returns the refinement, if it was tried."""
         self._estimate_scale(image)
         clock.lap("scale")
         refinement = self._refine(image)
@@ -165,9 +165,9 @@ class Racf:
         )
 
     def _expected(self, prior: Box | None) -> Box:
-        """Where to search: at the caller's prior, or at the last box moved by the target's velocity."""
+        """The box to search around: the caller's prior, or the last box moved by the target's velocity."""
         if prior is not None:
-            # While the target is seen, the scale filter knows its size better than any caller.
+            # While the target is seen, the scale filter's size is better than a caller's.
             sides = (prior.w, prior.h) if self._confidence.lost_frames else (self._box.w, self._box.h)
             w, h = (min(max(side, MIN_SIDE_PX), MAX_SIDE_PX) for side in sides)
             return Box.around(prior.centre_x, prior.centre_y, w, h)
@@ -179,14 +179,14 @@ class Racf:
         return self.params.predict_scale or (self.params.coast and prior is None)
 
     def _remember(self, image: UInt8, prior: Box | None) -> None:
-        """Keep the box and what surrounds it for the flow to the next image, if that will be asked for."""
+        """Keep the box with its surroundings for the flow to the next image, if that will be needed."""
         if self._uses_flow(prior):
             self._flow.remember(image, self._box)
         else:
             self._flow.forget()
 
     def _ground_moved(self, prior: Box | None) -> tuple[float, float] | None:
-        """How far the ground around the box moved; one frame further for what halted.  Who has a prior knows better."""
+        """How far the ground around the box moved; advances a halt by one frame.  None with a prior, which is better."""
         if prior is not None or not self.params.coast:
             self._halt.forget()
             return None
@@ -195,7 +195,7 @@ class Racf:
         return ground
 
     def _coast(self, expected: Box) -> None:
-        """A lost target's box: where it is expected, or where it would be if it had not halted."""
+        """Move a lost target's box to the expected position, or to where it would be if it had not halted."""
         self._box = self._kept_inside(self._halt.moved(expected))
         step = self._halt.step()
         if step is None:
@@ -212,7 +212,7 @@ class Racf:
         return expected.scaled(1.0 if coasts else growth(self._flow))
 
     def _weighed(self, expected: Box, match: Match, verdict: Verdict) -> Box:
-        """The measured box; in a doubtful frame moved towards the predicted one, the more the less it is believed."""
+        """The measured box; in a doubtful frame moved towards the predicted one, by more with less confidence."""
         params = self.params
         if verdict is not Verdict.DOUBTFUL or not params.predict_motion:
             return match.box
@@ -221,7 +221,7 @@ class Racf:
         return expected.moved(weight * dx, weight * dy)
 
     def _belief(self, match: Match) -> float:
-        """The share of the learning rate with which this frame is learned: what half hides a target passes the gate."""
+        """The fraction of the learning rate for this frame, because a half-occluded target passes the gate."""
         if not self.params.gate_learning:
             return 1.0
         return ramp(self._confidence.ratio(match.psr, match.value), self.params.learn_share_from, 1.0)
@@ -260,7 +260,7 @@ class Racf:
 
 
 class _Stopwatch:
-    """Wall-clock milliseconds by stage, for the record only."""
+    """Wall-clock milliseconds by stage, only for the recording."""
 
     def __init__(self) -> None:
         self.laps: dict[str, float] = {}
@@ -285,13 +285,13 @@ def check_image(image: object) -> None:
 
 
 def _checked(image: UInt8) -> UInt8:
-    """The checked image in one piece: a view is copied once here, or every sample would copy it."""
+    """The checked image, contiguous: a view is copied once here, because otherwise every sample would copy it."""
     check_image(image)
     return np.ascontiguousarray(image)
 
 
 def checked_start(image: UInt8, box: Box) -> UInt8:
-    """The image in one piece; raises ValueError for an invalid image or a box that cannot start a tracker in it."""
+    """The contiguous image; raises ValueError for an invalid image or a box that cannot start a tracker in it."""
     image = _checked(image)
     _check_box(box, "target")
     rows, cols = image.shape[:2]
@@ -305,7 +305,7 @@ def checked_start(image: UInt8, box: Box) -> UInt8:
 
 
 def checked_next(image: UInt8, first_shape: tuple[int, ...] | None, prior: Box | None) -> UInt8:
-    """The image in one piece; raises ValueError for another shape than the first one's, or before there was one."""
+    """The contiguous image; raises ValueError if its shape differs from the first one's, or before `init`."""
     if first_shape is None:
         raise ValueError("the tracker must be given a target with init before update")
     image = _checked(image)

@@ -1,4 +1,4 @@
-"""The translation filter with what it needs around it: sample, features, label, model; learns and localises."""
+"""The translation filter with its sample, features, label and model; learns and localises."""
 
 import math
 from dataclasses import dataclass
@@ -22,9 +22,9 @@ Complex64 = NDArray[np.complex64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Match:
-    """The maximum of the response: the box moved there, the response and how sharp it is.
+    """The maximum of the response: the box moved to it, the response and its sharpness.
 
-    `value` is the response's peak; 1 is what the filter answers to the model it was learned from.
+    `value` is the response's peak; 1 is the filter's response to the model it was learned from.
     """
 
     box: Box
@@ -42,7 +42,7 @@ def approach(model: Float32, sample: Float32, residue: Float32, rate: np.float32
 
 
 class TranslationFilter:
-    """Learned on a target box, answers where that box went.  Sizes in cells are fixed by the first box."""
+    """Learns a target box and finds its new position.  The first box fixes the sizes in cells."""
 
     def __init__(self, params: Params, first: Box, colour: bool) -> None:
         self.params, cell = params, params.cell_px
@@ -66,7 +66,7 @@ class TranslationFilter:
         self._self_response = 1.0
 
     def region(self, box: Box) -> Box:
-        """The square that is looked at around a box."""
+        """The square search region around a box."""
         side = math.sqrt(box.area) * self.params.search_area
         return Box.around(box.centre_x, box.centre_y, side, side)
 
@@ -84,7 +84,7 @@ class TranslationFilter:
         return out
 
     def locate(self, image: UInt8, box: Box) -> Match:
-        """Look for the target in the region around `box` (its size is taken as known)."""
+        """Find the target in the region around `box` (its size counts as known)."""
         grid = self._grid
         response_f = self._correlate(self.sample(image, box, self._sample_f))
         self._localised_at = box
@@ -99,9 +99,9 @@ class TranslationFilter:
         return Match(box.moved(dx * per_cell, dy * per_cell), response, float(response[row, col]), psr, apce)
 
     def learn(self, image: UInt8, box: Box, belief: float = 1.0) -> None:
-        """Take the target at `box` into the model, with a share of the learning rate, and learn the filter again.
+        """Take the target at `box` into the model, with a fraction `belief` of the learning rate, and learn the filter.
 
-        The residue (Eq. 14) is the whole one, whatever the share.
+        The residue (Eq. 14) is not scaled by `belief`.
         """
         params, residue_f = self.params, self._residue_f
         sample_f = self._sample_to_learn(image, box)
@@ -123,9 +123,9 @@ class TranslationFilter:
         self._self_response = max(float(own.sum()) / (self._grid.rows * self._grid.cols), 1e-9)
 
     def _sample_to_learn(self, image: UInt8, box: Box) -> Float32:
-        """The sample around a box of the image that was looked at last.
+        """The sample around a box of the image that `locate` searched last.
 
-        If the target is as large as it was and hardly moved, it is the sample that localised it, moved in the frequency
+        If the target has the same size and hardly moved, the sample that localised it is reused, moved in the frequency
         domain as ECO does (Danelljan 2017), which saves a new one.
         """
         at, self._localised_at = self._localised_at, None

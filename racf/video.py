@@ -1,8 +1,8 @@
-"""Video files by FFmpeg (PyAV): images in display order with the stream's own time stamps, and files written.
+"""Video files read by FFmpeg (PyAV): images in display order with the stream's own time stamps.
 
-A row of an annotation belongs to a frame, a time to its stamp: `VideoImage.index` counts the frames that the file
-holds, those that do not decode included, and `t_s` is the stamp after the first frame's.  So variable frame rate,
-transport streams that start at 10 h and a lost frame keep both.  Interlaced frames are deinterlaced, a display matrix
+A row of an annotation belongs to a frame, a time to its stamp: `VideoImage.index` counts the frames in the file, also
+those that cannot be decoded, and `t_s` is the stamp relative to the first frame's.  So both are right for variable
+frame rate, transport streams that start at 10 h, and lost frames.  Interlaced frames are deinterlaced, a display matrix
 is applied, every pixel format becomes 8-bit BGR.
 """
 
@@ -26,14 +26,14 @@ from racf.orientation import Orientation
 
 Image = NDArray[np.uint8]  # (rows, columns, 3), BGR
 
-USUAL_FPS = 30.0  # of a file that does not say
-LONGEST_GAP_S = 10.0  # a longer hole in the time stamps is a cut, not lost frames
-NOT_VIDEO = frozenset({"tty", "txd", "bin", "xbin", "adf", "idf"})  # FFmpeg draws a text file's letters
-DEINTERLACE = "mode=send_frame:deint=interlaced"  # one frame out for each in; progressive ones pass
+USUAL_FPS = 30.0  # default for a file without a rate
+LONGEST_GAP_S = 10.0  # a longer gap in the time stamps is a cut, not lost frames
+NOT_VIDEO = frozenset({"tty", "txd", "bin", "xbin", "adf", "idf"})  # text formats, which FFmpeg renders as video
+DEINTERLACE = "mode=send_frame:deint=interlaced"  # one output frame for each input; progressive ones are unchanged
 MAJOR = int(av.__version__.split(".")[0])
 ANY_TEXT: dict[str, Any] = {"metadata_errors": "replace"} if MAJOR < 19 else {}
-"""Lets `av.open` pass over a title that is not UTF-8, which it does by itself from version 19 on."""
-THREADS = "AUTO" if MAJOR >= 18 else "SLICE"  # an error costs older ones the frames of all decoding threads
+"""Makes `av.open` accept a title that is not UTF-8, as it does by itself from version 19 on."""
+THREADS = "AUTO" if MAJOR >= 18 else "SLICE"  # in older versions an error loses the frames of all decoding threads
 BLOCKING = (BlockingIOError, EOFError)  # a filter graph or decoder that needs more input, or has ended
 
 
@@ -48,7 +48,7 @@ class VideoImage:
 
 @dataclass(slots=True)
 class MissingFrames:
-    """What a source does not give, counted; `str()` is one sentence without its subject, "" if nothing is missing."""
+    """Counts of a source's missing frames; `str()` is one sentence without its subject, "" if nothing is missing."""
 
     undecoded: int = 0
     after_end: int = 0
@@ -60,7 +60,7 @@ class MissingFrames:
 
     @property
     def frames(self) -> int:
-        """Frames that were in the source and were not given."""
+        """Number of the source's frames that were not delivered."""
         return self.undecoded + self.after_end + self.resized + self.absent
 
     def __str__(self) -> str:
@@ -79,18 +79,18 @@ class MissingFrames:
         return "; ".join(parts)
 
     def add(self, kind: str, count: int, first: str) -> None:
-        """Count frames of a kind, which is a field's name; the first of all is named."""
+        """Count missing frames of a kind, which is a field's name; keep the name of the first one."""
         if count > 0:
             setattr(self, kind, getattr(self, kind) + count)
             self.first = self.first or first
 
 
 class Video:
-    """A video file, open.  Raises VideoError for a file of which no frame decodes.
+    """An open video file.  Raises VideoError for a file without a decodable frame.
 
-    shrink(size): the whole number by which images of that (width, height) are shrunk; `scale` is what it gave.
-    size: width and height of its images; fps: its nominal rate, 1/s; frames, length_s: how many it says that it holds
-    and how long it says that it is, or None; missing: what has been missing up to now, whole after the last image.
+    shrink(size): the whole number by which images of that (width, height) are shrunk; `scale` is its value.
+    size: width and height of its images; fps: its nominal rate, 1/s; frames, length_s: the number of frames and the
+    length that its header states, or None; missing: the missing frames so far, complete after the last image.
     """
 
     def __init__(self, path: str | Path, shrink: Callable[[tuple[int, int]], int] = lambda _size: 1) -> None:
@@ -270,7 +270,7 @@ def _opened(path: str | Path) -> Any:
         what = "is a folder: read its images one by one, with cv2.imread" if Path(path).is_dir() else "is not a file"
         raise VideoError(f"{path} {what}")
     try:
-        # `file:` so that a colon in the name is not taken for a protocol's.
+        # `file:`, because FFmpeg would take a colon in the name for a protocol.
         return av.open(f"file:{path}", **ANY_TEXT)
     except (av.error.FFmpegError, OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or str(error)
@@ -278,7 +278,7 @@ def _opened(path: str | Path) -> Any:
 
 
 def nominal_fps(stream: Any) -> float:
-    """The rate that a stream is made for: the guessed one, unless it is far from the average."""
+    """The nominal rate of a stream: the guessed one, unless it is far from the average."""
     average, guessed = float(stream.average_rate or 0), float(stream.guessed_rate or 0)
     if guessed and (stream.duration is None or not average or average <= guessed <= 4 * average):
         average = guessed
@@ -290,7 +290,7 @@ def _length_s(stream: Any, container: Any) -> float | None:
         return float(stream.duration * stream.time_base)
     if container.duration is None:
         return None
-    # Matroska's header has the time of its end, whenever it began.
+    # Matroska's header holds the time of the end, not the duration.
     began = container.start_time or 0 if container.format.name.startswith("matroska") else 0
     return (container.duration - began) / av.time_base
 
@@ -304,7 +304,7 @@ def deinterlacer(frame: Any, time_base: Fraction, name: str = "bwdif") -> Any:
 
 
 def filtered(graph: Any, frame: Any) -> Iterator[Any]:
-    """Push a frame (None: the end) into a graph and yield what comes out."""
+    """Push a frame (None: the end) into a graph and yield its output."""
     try:
         graph.vpush(frame)
         while True:

@@ -15,7 +15,7 @@ from racf.errors import VideoError
 
 FORMATS = {".mp4": "mp4", ".avi": "avi", ".mkv": "matroska"}
 SUFFIXES = tuple(FORMATS)
-QUALITY = "18"  # x264's constant rate factor: hardly to be told from the source
+QUALITY = "18"  # x264's constant rate factor: visually almost lossless
 JPEG_QUALITY = "3"  # of 2 (best) to 31
 TICKS_S = 90_000  # time base of written stamps, 1/s, as in MPEG
 
@@ -42,7 +42,7 @@ class VideoWriter:
         self._write(frame)
 
     def _write(self, frame: av.VideoFrame | None) -> None:
-        """Encode a frame (None: what the encoder still holds); the file is made with the first packet."""
+        """Encode a frame (None: flush the encoder); the first packet creates the file."""
         try:
             self._container.mux(self._stream.encode(frame))
         except (av.error.FFmpegError, OSError) as error:
@@ -68,7 +68,7 @@ class VideoWriter:
         self._stream = stream
 
     def close(self) -> None:
-        """Write what the encoder still holds and finish the file."""
+        """Flush the encoder and finish the file."""
         if self._container is not None:
             self._write(None)
             self._container.close()

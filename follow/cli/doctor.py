@@ -77,7 +77,7 @@ def diagnose(command: DoctorCommand, drawn: CameraConfig | None = None) -> None:
 
 
 def look(source: str, tracker: str, out: Path, terminal: Terminal) -> list[Finding]:
-    """Check the camera, and the tracker on its frames; save the first frame in `out`, for reading off a target's box."""
+    """Check the camera, and the tracker on its frames; save the first in `out`, for reading off a target's box."""
     kept: list[Frame] = []
     if source.startswith(SCENE):
         return [Finding("camera", Health.OK, "a drawn scene: nothing to check")]

@@ -32,7 +32,7 @@ HOW = (
 
 
 def wave(command: DoctorCommand, terminal: Terminal, drawn: CameraConfig | None = None) -> Sequence[Finding]:
-    """Measure while the vehicle is turned.  `drawn`: a scene's true camera if it differs from the settings, for tests."""
+    """Measure while the vehicle is turned.  `drawn`: a scene's true camera if not as in the settings, for tests."""
     assert command.camera is not None
     assert command.link is not None
     signing = Signing(command.signing_key) if command.signing_key is not None else None
