@@ -186,7 +186,7 @@ class Racf:
             self._flow.forget()
 
     def _ground_moved(self, prior: Box | None) -> tuple[float, float] | None:
-        """How far the ground around the box moved; advances a halt by one frame.  None with a prior, which is better."""
+        """How far the ground around the box moved; advances a halt by one frame.  None with a prior."""
         if prior is not None or not self.params.coast:
             self._halt.forget()
             return None
