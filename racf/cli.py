@@ -21,7 +21,7 @@ from racf.evaluate.stored import with_results
 from racf.evaluate.trackers import OPENCV, TrackerSpec, builders_of
 
 FEW = 10  # sequences: over fewer a 95 % bootstrap interval holds the mean in less than 91 % of draws [simulated]
-WIDTH_IN_A_PIPE = 160  # columns, so that nothing is folded where no terminal says how wide it is
+WIDTH_IN_A_PIPE = 160  # columns: wide enough that no line wraps where no terminal reports its width
 Many = tyro.conf.UseAppendAction[tuple[str, ...]]
 
 

@@ -1,11 +1,11 @@
 """One-pass evaluation as a library: benchmark readers, the runner, the published metrics, tables and plots.
 
     evaluation = racf.evaluate.evaluate("path/to/sequences", trackers=["racf", "racf,robust"], jitter=5)
-    print(evaluation.tables[0].markdown())
+    print(evaluation.summary[0].markdown())
 
 `evaluate` does what `racf eval` does.  Its parts: `benchmarks` and `boxfiles` read sequences and boxes; `trackers`
-builds what a name means; `runner` runs them; `metrics` and `report` judge; `plots` and `studies` show results; `speed`
-measures.
+builds a tracker from its name; `runner` runs them; `metrics` and `report` score the boxes; `plots` and `studies` show
+results; `speed` measures the time of a frame.
 """
 
 from typing import TYPE_CHECKING, Any

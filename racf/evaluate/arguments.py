@@ -1,4 +1,4 @@
-"""The arguments of `racf.evaluate.evaluate`: each that may not be is refused in one sentence before anything runs."""
+"""Checks of the arguments of `racf.evaluate.evaluate`: a UsageError in one sentence before anything runs."""
 
 import operator
 import os
@@ -13,7 +13,7 @@ from racf.evaluate import studies
 def whole(name: str, value: object) -> int:
     """A whole number from 0 on, of Python or numpy.  Raises UsageError."""
     try:
-        number = operator.index(value)  # pyright: ignore[reportArgumentType] - the question is whether it is one
+        number = operator.index(value)  # pyright: ignore[reportArgumentType] - TypeError if it is not whole
     except TypeError:
         number = -1
     if number < 0 or isinstance(value, bool):
@@ -53,7 +53,7 @@ def table_number(given: object) -> int | None:
 
 
 def sweep_of(given: object) -> studies.Sweep:
-    """What tables 3 and 4 go through; None: the paper's.  Raises UsageError."""
+    """The values that tables 3 and 4 vary; None: the paper's.  Raises UsageError."""
     if given is None or isinstance(given, studies.Sweep):
         return given or studies.Sweep()
     raise UsageError(f"sweep is a racf.evaluate.studies.Sweep, not {given!r}")

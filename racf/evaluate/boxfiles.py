@@ -13,7 +13,7 @@ import numpy as np
 
 from racf.evaluate.metrics import Boxes
 
-FARTHEST_PX = 1e6  # infinity and broken exponents are beyond it, whatever a tracker says is not
+FARTHEST_PX = 1e6  # a limit of plausibility: only infinity and broken exponents are beyond it, no tracker's box is
 _APART = re.compile(r"[,;\s]+")
 # What scipy raises on a broken MATLAB file, depending on the wrong byte; it cannot read version 7.3.
 _BROKEN = (

@@ -1,4 +1,4 @@
-"""What a frame costs: its share of a camera's time, processor cycles, and the least operations and bytes it needs.
+"""The cost of a frame: its share of a camera's time, processor cycles, and the least operations and bytes it needs.
 
 Cycles over its clock are a first guess for another processor of the same kind: they do not carry over to one that does
 more or fewer operations a cycle.  No processor is faster than the bytes over its memory's or cache's bandwidth.

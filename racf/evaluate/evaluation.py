@@ -31,9 +31,9 @@ WRITTEN_KINDS = {".json", ".md", ".png", ".svg"}
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Evaluation:
-    """What an evaluation gave.
+    """The result of an evaluation.
 
-    report: the scores, to be asked by benchmark, attribute or sequence (`racf.evaluate.report.Report`).
+    report: the scores by benchmark, attribute or sequence (`racf.evaluate.report.Report`).
     summary: tables of all trackers over all sequences, shown as such by a notebook; `summary[0].markdown()` is text.
     details: tables by benchmark, attribute and sequence.
     boxes: by label and sequence, (frames, 4) `x, y, w, h` in the benchmarks' 1-based pixels, from the annotated start.
@@ -55,7 +55,7 @@ class Evaluation:
         return self.report.as_json()
 
     def write(self, folder: Path, images: int = 0) -> list[Path]:
-        """Leave report.json, tables.md and the plots, and draw all boxes on frames of `images` sequences.
+        """Write report.json, tables.md and the plots, and draw all boxes on frames of `images` sequences.
 
         Files of an earlier evaluation with these names are deleted; boxes in `folder/runs` stay.
         """
@@ -76,7 +76,7 @@ class Evaluation:
 
 def to_stderr(text: str) -> None:
     """Print a line on standard error."""
-    print(text, file=sys.stderr)  # noqa: T201 - a person must know what an evaluation leaves out
+    print(text, file=sys.stderr)  # noqa: T201 - the user must learn what an evaluation leaves out
 
 
 def evaluate(
@@ -132,7 +132,7 @@ def evaluate(
 
 
 def _written(evaluation: Evaluation, folder: Path, images: int, table: int | None, sweep: studies.Sweep) -> str:
-    """Leave the files of an evaluation in its folder; what to say of them."""
+    """Write the files of an evaluation to its folder; returns a message about them."""
     figures = len(evaluation.write(folder, images)) - 2 + len(studies.draw(table, evaluation.report, sweep, folder))
     return f"report.json, tables.md and {figures} figures are in {folder}"
 

@@ -65,7 +65,7 @@ class TrackerFigures(ScoreFigures):
 
 
 class CostFigures(TypedDict):
-    """What one frame takes: its share of a 30 Hz camera's time, cycles, and the least operations and bytes."""
+    """The cost of a frame: its share of a 30 Hz camera's time, cycles, and the least operations and bytes."""
 
     share_of_30hz_percent: float
     least_megaflops: float

@@ -17,7 +17,7 @@ def read_frame(path: Path) -> Image:
     """One image; raises ValueError naming the file."""
     try:
         image = cv2.imread(str(path), cv2.IMREAD_COLOR)
-    except cv2.error:  # its header says more pixels than OpenCV reads
+    except cv2.error:  # its header declares more pixels than OpenCV accepts
         image = None
     if image is None:
         raise ValueError(f"{path} is not an image that OpenCV can read")
@@ -34,7 +34,7 @@ class FrameCache:
         self._bytes = 0
 
     def read(self, path: Path) -> Image:
-        """One image, the caller's own; raises ValueError naming the file."""
+        """One image, a copy that the caller may change; raises ValueError naming the file."""
         if path.parent != self._folder:
             self._folder, self._images, self._bytes = path.parent, {}, 0
         image = self._images.get(path)

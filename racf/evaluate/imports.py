@@ -14,7 +14,7 @@ Notify = Callable[[str], None]
 def import_boxes(
     texts: Iterable[str], sequences: list[Sequence], taken: Iterable[str], notify: Notify
 ) -> dict[str, Stored]:
-    """What each of `texts` names, by label; `taken` are the labels of the trackers that are run.
+    """The stored boxes that each of `texts` names, by label; `taken` are the labels of the trackers that are run.
 
     `notify` is given a line for what is left out.  Raises UsageError that names a text without boxes.
     """
@@ -76,7 +76,7 @@ def _of_an_evaluation(
 
 
 def _complete(text: str, folder: Path, sequences: list[Sequence], notify: Notify) -> list[str]:
-    """The trackers of a folder that have the most sequences; those left out are told."""
+    """The trackers of a folder that have the most sequences; `notify` gets those left out."""
     names = trackers_in(folder, sequences)
     for name, has in sequences_of_trackers(folder, sequences).items():
         if has and name not in names:

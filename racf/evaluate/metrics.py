@@ -23,7 +23,7 @@ RANK_ERROR_PX = 20  # the error at which every paper on these benchmarks quotes 
 
 
 class Convention(str, Enum):
-    """What an annotated frame counts for; see the module's text."""
+    """How invalid annotations are counted; see the module's docstring."""
 
     TOOLKIT = "toolkit"
     STRICT = "strict"

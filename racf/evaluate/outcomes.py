@@ -1,4 +1,4 @@
-"""What an evaluation leaves in `OUT/runs`, and how a later one finds it again.
+"""The boxes that an evaluation stores in `OUT/runs`, and how a later evaluation reuses them.
 
 OUT/runs/<label>-<fingerprint>/<benchmark>/<sequence>[.startN].txt     boxes, 1-based, a line a frame
 OUT/runs/<label>-<fingerprint>/<benchmark>/<sequence>[.startN].json    key, label, frames per second, stage times
@@ -26,7 +26,7 @@ FOLDER = "runs"
 
 
 def store(folder: Path, task: "Task", run: "SequenceRun") -> None:
-    """Leave the boxes, then the note that vouches for them: an interruption in between leaves no note."""
+    """Write the boxes, then the note that declares them complete: an interruption in between leaves no note."""
     boxes, note = _places(folder, task)
     boxes.parent.mkdir(parents=True, exist_ok=True)
     note.unlink(missing_ok=True)
@@ -38,17 +38,17 @@ def store(folder: Path, task: "Task", run: "SequenceRun") -> None:
 
 
 def find(folder: Path, task: "Task") -> tuple[Boxes, dict[str, Any]] | None:
-    """The boxes and the note that an earlier evaluation left, if they are of this very task and whole."""
+    """The boxes and the note of an earlier evaluation, if they belong to this task (same key) and are complete."""
     place, note = _places(folder, task)
     try:
         known, boxes = _noted(note), read_boxes(place)
     except (OSError, ValueError):
-        return None  # nothing there, or a disk that was full or lost power: the task is run again
+        return None  # missing, or cut short by a full disk or a power loss: the task is run again
     return (boxes, known) if known["key"] == task.key() and len(boxes) == len(task.frames) else None
 
 
 def read_outcomes(folder: Path, sequences: Iterable[Sequence]) -> dict[str, Stored]:
-    """The results by label that an evaluation left in `folder`; of two with one label the newer.
+    """The results by label that an evaluation stored in `folder`; where two have the same label, the newer.
 
     Empty where `folder` is not the output of an evaluation.
     """

@@ -37,7 +37,7 @@ PROTOCOL = "init(image, box) and update(image), which gives the box"
 
 
 class OwnTracker:
-    """A tracker of yours, with its answers turned into Tracks, and any error in it into a TrackerError."""
+    """A tracker of yours; turns its return values into Tracks and its exceptions into TrackerErrors."""
 
     def __init__(self, tracker: Any, label: str) -> None:
         for method in ("init", "update"):
@@ -58,9 +58,9 @@ class OwnTracker:
         return self._track(found=True)
 
     def update(self, image: NDArray[np.uint8]) -> Track:
-        """Its answer to the next image; the last box again if it gives None.
+        """Its result for the next image; the last box again if your `update` returns None.
 
-        Raises TrackerError if your `update` raises, or gives another thing than a box.
+        Raises TrackerError if your `update` raises, or returns anything but a box, a Track or None.
         """
         self._frame += 1
         try:
@@ -86,7 +86,7 @@ class OwnTracker:
         return self._track(found=True)
 
     def _failed(self, method: str, error: Exception) -> TrackerError:
-        """What to raise for an error in one of its methods; the place is the last line of its own file."""
+        """The TrackerError for an exception in one of its methods; it names the last line of the tracker's own file."""
         own = getattr(sys.modules.get(type(self._tracker).__module__), "__file__", None)
         passed = traceback.extract_tb(error.__traceback__)
         place = next((step for step in reversed(passed) if step.filename == own), passed[-1])
@@ -101,14 +101,14 @@ class OwnTracker:
 
 
 def _bounded(box: Box) -> Box:
-    """The box; raises ValueError for one that no file of boxes may hold."""
+    """The box; raises ValueError for one beyond the limits of a box file."""
     if max(abs(box.x), abs(box.y), box.w, box.h) > FARTHEST_PX:
         raise ValueError(f"a box lies within {FARTHEST_PX:g} pixels, not {box}")
     return box
 
 
 def _wrong_in(track: Track) -> str:
-    """What is wrong with a Track of a tracker of yours; "" if nothing is.  PSR and APCE may be NaN."""
+    """What is wrong with a Track of your tracker; "" if nothing.  PSR and APCE may be NaN."""
     box = cast("object", track.box)
     if not isinstance(box, Box):
         return f"the box is a racf.Box, not {box!r}"
@@ -129,7 +129,7 @@ def _wrong_in(track: Track) -> str:
 class OwnSpec:
     """A class of yours (or a function that builds a tracker) and the label of its row.
 
-    A later run reuses results only if the source code of the class can be read and is unchanged.
+    A later evaluation reuses results only if the source code of the class can be read and is unchanged.
     """
 
     label: str
@@ -156,7 +156,7 @@ class OwnSpec:
 
 
 def load(name: str) -> Callable[..., Any]:
-    """The class or function `module:Name`; raises ValueError that says what is missing."""
+    """The class or function `module:Name`; the ValueError for a wrong name says what is missing."""
     module_name, _, attribute = name.partition(":")
     if os.getcwd() not in sys.path:
         sys.path.insert(0, os.getcwd())
@@ -177,12 +177,12 @@ def build(name: str, settings: Mapping[str, str]) -> OwnTracker:
 
 
 def said(error: BaseException) -> str:
-    """An error of foreign code in one line: its class and its words."""
+    """An exception of foreign code in one line: its class and its message."""
     return " ".join(f"{type(error).__name__}: {error}".split())
 
 
 def source_of(thing: Any) -> str | None:
-    """The text of the file in which a class or function stands, or of itself if there is no file."""
+    """The text of the file that defines a class or function, or its own source if there is no file."""
     try:
         file = inspect.getsourcefile(thing)
         return Path(file).read_text() if file and Path(file).is_file() else inspect.getsource(thing)

@@ -26,11 +26,14 @@ from racf.track import Track
 from racf.tracker import checked_next
 
 OPENCV = {"csrt": "TrackerCSRT", "kcf": "TrackerKCF", "mil": "TrackerMIL", "nano": "TrackerNano", "vit": "TrackerVit"}
-NETWORKS = {"nano": ("backbone", "neckhead"), "vit": ("net",)}  # OpenCV's names of the files that a tracker needs
+NETWORKS = {
+    "nano": ("backbone", "neckhead"),
+    "vit": ("net",),
+}  # the files that a tracker needs, by OpenCV's parameter names
 PEERS = ("csrt", "kcf")  # those that a drone's computer could run instead of ours
 
-MIL_LEAST_PX = 5  # on a smaller target it looks for random features that fit, without end
-# MIL draws its features with C's rand(), whose state is the process's: without a seed, what ran before would matter.
+MIL_LEAST_PX = 5  # on a smaller target MIL never ends: it draws random features until one fits
+# MIL draws its features with C's rand(), whose state is global: without a seed they depend on earlier calls.
 _C = ctypes.CDLL("ucrtbase" if sys.platform == "win32" else None)
 
 
@@ -89,12 +92,12 @@ class Peer:
 
 
 def opencv_has(name: str) -> bool:
-    """Whether the installed OpenCV brings this tracker."""
+    """Whether the installed OpenCV has this tracker."""
     return _opencv_maker(name) is not None
 
 
 def require_opencv(name: str) -> Callable[..., Any]:
-    """What builds this tracker; raises ValueError if the installed OpenCV does not bring it."""
+    """The function that builds this tracker; raises ValueError if the installed OpenCV does not have it."""
     make = _opencv_maker(name)
     if make is None:
         raise ValueError(

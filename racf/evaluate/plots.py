@@ -95,7 +95,7 @@ def draw_images(sequences: ListOf[Sequence], boxes: Mapping[str, Mapping[str, Bo
     for line, sequence in zip(every, sequences, strict=True):
         shown = np.linspace(0, len(sequence.frames) - 1, IMAGES_PER_SEQUENCE + 1).round().astype(int)[1:]
         for axes, index in zip(line, shown, strict=True):
-            at = {ANNOTATION: sequence.truth[index]}  # first, so that it hides no tracker's box
+            at = {ANNOTATION: sequence.truth[index]}  # drawn first, so that it covers no tracker's box
             at |= {label: of[sequence.name][index] for label, of in boxes.items() if sequence.name in of}
             axes.imshow(_with_boxes(read_frame(sequence.frames[index]), at, lines)[:, :, ::-1])
             axes.set_title(f"{sequence.name} #{index + 1}", fontsize=7)

@@ -37,7 +37,7 @@ class ResultRow:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Text in cells, for the screen, for Markdown and for a notebook, which shows it as a table."""
+    """A table of text cells, for the screen, for Markdown and for notebooks."""
 
     title: str
     header: tuple[str, ...]

@@ -1,4 +1,4 @@
-"""The least that each stage of the tracker must do: arithmetic of its transforms, bytes it must read and write once.
+"""A lower bound for each stage of the tracker: arithmetic of its transforms, bytes it must read and write once.
 
 A stage cannot take less than its arithmetic at the speed of a matrix product, nor than its bytes at the speed of a
 copy out of the caches; both speeds are measured on this machine.  Letters: N = H W cells of the sample, D
@@ -41,13 +41,13 @@ class Work:
 
 @dataclass(frozen=True, slots=True)
 class Machine:
-    """What one core does at best: operations and bytes per second."""
+    """The peak rates of one core: operations and bytes per second."""
 
     flops_s: float
     bytes_s: float
 
     def ms(self, work: Work) -> float:
-        """The least time for some work: arithmetic and moving may overlap entirely."""
+        """The least time for some work: arithmetic and memory transfer may overlap entirely."""
         return 1000 * max(work.flops / self.flops_s, work.moved_bytes / self.bytes_s)
 
 

@@ -52,7 +52,7 @@ class Tracker(Protocol):
 
 
 class TrackerBuilder(Protocol):
-    """Builds one tracker; it is sent to the processes that run it, so it holds none."""
+    """Builds one tracker.  It is pickled for the processes that run it, so it does not contain the tracker itself."""
 
     @property
     def label(self) -> str:
@@ -80,7 +80,7 @@ class Task:
     start: int = 0
 
     def key(self) -> str:
-        """Names the outcome: the same key means the same boxes."""
+        """Identifies the outcome: the same key means the same boxes."""
         what = (self.spec.fingerprint(), self.benchmark, self.sequence, str(self.frames[0].resolve()))
         numbers = (len(self.frames), str(self.first_box), self.start)
         return hashlib.sha256(repr((what, numbers)).encode()).hexdigest()[:16]
@@ -152,7 +152,7 @@ def naming(label: str, frame: str) -> Generator[None]:
 
 @cache
 def warm_up(spec: TrackerBuilder) -> None:
-    """Compile or load what the tracker compiles, once a process, so that no frame's time holds it.
+    """Compile or load the tracker's kernels, once a process, so that no frame's time includes it.
 
     A tracker of yours that fails on noise may yet do on images.
     """
@@ -204,7 +204,7 @@ def _outcomes(todo: list[Task], jobs: int, dask: str | None) -> Iterator[tuple[T
         for task in todo:
             yield task, run_task(task)
     else:
-        # Compiled here first: otherwise each process would compile the kernels and announce it.
+        # Compile the kernels in this process first: otherwise each process would compile them and print so.
         for spec in {type(task.spec.build()): task.spec for task in todo}.values():
             warm_up(spec)
         yield from each(run_task, todo, jobs)

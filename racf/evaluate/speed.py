@@ -1,4 +1,4 @@
-"""How fast, on one core: every tracker and its OpenCV peers on the same frames in the same run.
+"""Speed on one core: every tracker and its OpenCV peers on the same frames in the same run.
 
 Each image is handed to all trackers in turn, so that other load on the machine slows all of them equally, in an order
 that is drawn for each image: what the tracker before left in the caches helps or hinders all of them alike.  A ratio
@@ -37,7 +37,7 @@ OURS = ("racf", "racf-", "racf--", "bacf", "arcf-hc", "racf,robust")
 # Windows counts a thread's time in steps of 16 ms.
 _clock = perf_counter if sys.platform == "win32" else thread_time
 
-# A fresh process tracks some frames and says what its first init and update took of the processor, and its memory.
+# A fresh process tracks some frames and prints the processor time of its first init and update, and its memory.
 FIRST_CALL = """
 import json, resource, sys, time
 began = time.process_time()
@@ -64,7 +64,7 @@ print(json.dumps({**seconds, "memory_mb": held}))
 """
 
 
-# A fresh process tracks a target there and back, and says what it holds after each of some numbers of updates.
+# A fresh process tracks a target back and forth, and prints its resident memory after given numbers of updates.
 GROWTH = """
 import itertools, json, resource, sys
 import racf
@@ -125,7 +125,7 @@ def clips_of(sequences: list[Sequence], frames: int) -> list[Clip]:
 
 
 def rendered_clips(frames: int) -> list[Clip]:
-    """A small, a middling and a large target in rendered images of 1280x720."""
+    """A small, a medium and a large target in rendered images of 1280x720."""
     return [Clip(f"rendered {w}x{h}", Box(400, 300, w, h), count=frames) for w, h in ((20, 16), (48, 36), (120, 90))]
 
 
@@ -143,7 +143,7 @@ def rendered(target: Box, frames: int) -> Iterator[Image]:
 
 
 def peers() -> list[TrackerSpec]:
-    """The OpenCV trackers that are there to compare with."""
+    """The OpenCV trackers that are installed, for comparison."""
     return [TrackerSpec.parse(name) for name in PEERS if opencv_has(name)]
 
 
@@ -211,12 +211,12 @@ def measure(specs: list[TrackerSpec], clip: Clip) -> dict[str, Lap]:
 
 
 def first_calls(spec: TrackerSpec) -> dict[str, dict[str, float]]:
-    """The processor's seconds of import, first init and update in a fresh process, and the memory that it holds.
+    """Processor seconds of import, first init and first update in a fresh process, and its resident memory.
 
     Cold without compiled kernels, but with Python's bytecode, as pip leaves a package; then warm.
     """
     written = {"PYTHONDONTWRITEBYTECODE": ""}
-    first_call(spec, written)  # leaves bytecode where no installer did
+    first_call(spec, written)  # writes the bytecode cache where the installer did not
     with tempfile.TemporaryDirectory() as cache:
         cold, warm = (first_call(spec, {**written, "NUMBA_CACHE_DIR": cache}) for _ in range(2))
     return {"cold": cold, "warm": warm}

@@ -60,7 +60,7 @@ def _speeds(note: Path) -> dict[str, float]:
 
 
 def trackers_in(folder: Path, sequences: list[Sequence]) -> list[str]:
-    """The trackers that have a result for as many of the sequences as any does, by name."""
+    """The trackers with results for the largest number of the sequences, by name."""
     covered = sequences_of_trackers(folder, sequences)
     most = max(map(len, covered.values()), default=0)
     return sorted(name for name, names in covered.items() if len(names) == most and most > 0)

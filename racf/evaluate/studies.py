@@ -19,12 +19,12 @@ from racf.evaluate.trackers import opencv_has
 ITERATIONS = (1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 15, 20, 25)  # the columns of Table 3 [Paper]
 ETAS = (0.2, 0.4, 0.6, 0.8, 1.0, 1.2, 1.4, 1.6)  # the columns of Table 4 [Paper]
 CONVERGING = ("bacf", "arcf-hc", "racf--")  # the rows of Table 3 [Paper]
-WITHOUT = {"racf": "racf-", "racf-": "racf--"}  # what a row of Table 5 adds a component to; `X,refine` adds it to `X`
+WITHOUT = {"racf": "racf-", "racf-": "racf--"}  # a row of Table 5: the same without its component (`X,refine`: `X`)
 
 
 @dataclass(frozen=True, slots=True)
 class Sweep:
-    """The settings that tables 3 and 4 go through."""
+    """The values that tables 3 and 4 vary."""
 
     iterations: tuple[int, ...] = ITERATIONS
     etas: tuple[float, ...] = ETAS
@@ -78,7 +78,7 @@ def _row(report: Report, label: str) -> ResultRow:
 
 
 def _auc(report: Report, label: str) -> float:
-    """Over all starts, nominal and jittered: one occlusion that a start passes or not moves a mean of few sequences."""
+    """Over all starts, nominal and jittered: whether one start survives an occlusion moves a mean of few sequences."""
     return _over_sequences(_row(report, label), report.counted)[0]
 
 
@@ -120,7 +120,7 @@ def _components(report: Report) -> Table:
 
 
 def _gain(report: Report, row: ResultRow) -> str:
-    """What a component adds: a row minus the same tracker without it, paired by sequence; empty without such a row."""
+    """The effect of a component: a row minus the same tracker without it, paired by sequence; empty without one."""
     without = row.label.removesuffix(",refine") if row.label.endswith(",refine") else WITHOUT.get(row.label)
     if without not in {other.label for other in report.rows}:
         return ""

@@ -1,4 +1,4 @@
-"""What a tracker's name means, on the command line and in `racf.evaluate.evaluate`.
+"""Builds trackers from their names, on the command line and in `racf.evaluate.evaluate`.
 
 racf, racf-, racf--, bacf, arcf-hc     presets of racf.params, with any of its settings: racf,robust
 csrt, kcf, mil, nano, vit              OpenCV's (see racf.evaluate.peers): nano,backbone=FILE,neckhead=FILE; `judged`
@@ -28,7 +28,7 @@ from racf.params import PRESETS, Params, preset, split_settings
 
 __all__ = ["OPENCV", "PEERS", "Peer", "TrackerSpec", "builders_of", "opencv_has"]
 
-# No box depends on these files of the package; all others count.
+# Files of the package on which no box depends: the fingerprint leaves them out and covers all others.
 UNRELATED = {
     "cli.py", "commandline.py", "errors.py", "imagefolder.py", "judged.py", "orientation.py", "parallel.py", "video.py",
     "video_writer.py",
@@ -80,7 +80,7 @@ class TrackerSpec:
         return racf.Racf(self.params())
 
     def flown(self) -> Self:
-        """The same as `follow` flies it: a tracker of OpenCV's, which may answer whatever it sees, is judged."""
+        """The same as `follow` flies it: an OpenCV tracker, which may report any box as found, is judged as well."""
         is_peer = self.name in OPENCV and dict(self.settings).get("judged", "false") == "false"
         return replace(self, settings=(*self.settings, ("judged", "true"))) if is_peer else self
 
@@ -117,7 +117,7 @@ class TrackerSpec:
 
 @contextmanager
 def _quiet_opencv() -> Generator[None]:
-    """Errors only: OpenCV warns at each start of a network about a choice of processors that it does not offer."""
+    """Log errors only: at each start of a network OpenCV warns that a processor choice is not available."""
     logging = cv2.utils.logging
     level = logging.setLogLevel(logging.LOG_LEVEL_ERROR)
     try:

@@ -23,13 +23,13 @@ from racf.video import Video
 from racf.video_writer import SUFFIXES, VideoWriter
 
 COLUMNS = ("frame", "x_px", "y_px", "w_px", "h_px", "confidence", "found", "refined", "psr", "apce", "tracker_ms")
-OVERLAY_FPS = 30.0  # of a folder of images, which does not say
+OVERLAY_FPS = 30.0  # for a folder of images, whose rate is unknown
 FOUND, LOST, ANNOTATION = (0, 220, 0), (0, 0, 255), (255, 255, 255)  # BGR
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tracked:
-    """The tracker's answers, one for each frame (the first is the start), and the milliseconds that each took."""
+    """The tracker's results, one for each frame (the first is the start), and the milliseconds that each took."""
 
     tracks: list[Track]
     ms: list[float]
@@ -83,7 +83,7 @@ def require_outputs(source: Path, truth: Path | None, out: Path, overlay: Path |
 
 
 def _is_same(one: Path, other: Path) -> bool:
-    """Whether both lead to one file, by whatever links."""
+    """Whether both name the same file, links resolved."""
     return one.exists() and other.exists() and one.samefile(other)
 
 
