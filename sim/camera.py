@@ -22,17 +22,17 @@ from sim.scene.optics import Lens, Optics, Sensor, smear
 from sim.scene.rendering import Scene, Seen
 from sim.scene.world import ActorPose, World
 
-LENS_M = 0.2  # height of the lens of a landed vehicle; a lens in the plane of the ground sees a line
+LENS_M = 0.2  # height of the lens of a landed vehicle: from a lens at height 0 the ground would project to a line
 ON_GROUND_M = 0.5  # a vehicle lower than this has not taken off
 ROUNDS_PER_S = 30.0  # at least, with or without a frame
-# How far ahead of telemetry the image goes at most, so that a vehicle that stalls or runs slowly stands still in it
-MOVED_S = 0.25  # half the age of a position that the gate bears
-TURNED_S = 0.1  # the age of an attitude that the gate bears: 38 pixels at 1 rad/s
+# The longest extrapolation of telemetry: the image of a simulator that stalls or runs slowly then stands still
+MOVED_S = 0.25  # of the position: half of the gate's position_age_s
+TURNED_S = 0.1  # of the attitude: the gate's attitude_age_s, 38 pixels at 1 rad/s
 
 
 @dataclass(frozen=True, slots=True)
 class CameraSettings:
-    """One camera: what it sees, how it is mounted, its frame rate and how late its frames come."""
+    """One camera: its lens, mounting angle, frame rate, latency, dropped frames and image faults."""
 
     intrinsics: Intrinsics = field(default_factory=lambda: Intrinsics.from_fov(640, 360, math.radians(80.0)))
     down_rad: float = 0.5  # below the vehicle's nose
@@ -44,7 +44,7 @@ class CameraSettings:
 
 @dataclass(frozen=True, slots=True)
 class FrameTruth:
-    """What is true of one frame: when and from where it was taken, each actor's pose, box and visible fraction."""
+    """The ground truth of one frame: when and from where it was taken, each actor's pose, box and visible fraction."""
 
     index: int
     t_s: float
@@ -59,7 +59,7 @@ class FrameTruth:
 
     @property
     def visible(self) -> float:
-        """The fraction of the target that shows."""
+        """The fraction of the target that is not hidden."""
         return self.seen[0].visible
 
 
@@ -67,14 +67,14 @@ class CameraCarrier(Protocol):
     """What carries the camera."""
 
     def advance(self, dt_s: float) -> VehicleTruth:
-        """Let that much time pass and say where the camera's vehicle is then."""
+        """Let that much time pass and return the state of the camera's vehicle at its end."""
         ...
 
 
 class LiveFlight:
-    """Any link in real time: the vehicle is where its telemetry says, carried on to now by its own velocity.
+    """Any link in real time: the vehicle's position from telemetry, extrapolated to now by the reported velocity.
 
-    The scene is put where the vehicle is at the first call: it begins at the scenario's start, looking along its yaw.
+    At the first call the scene is placed about the vehicle, so that it begins at the scenario's start and yaw.
     Heights are the vehicle's own, above the `ground` of the scene.
     """
 
@@ -166,7 +166,7 @@ class SceneCamera:
         return Frame(image, vehicle.t_s, 0), seen[0].box
 
     def truth(self, index: int) -> FrameTruth:
-        """What is true of the frame with that index.  Raises KeyError if it was never yielded."""
+        """The ground truth of the frame with that index.  Raises KeyError if it was never yielded."""
         return self._truths[index]
 
     def now(self) -> tuple[VehicleTruth, tuple[ActorPose, ...]]:

@@ -1,9 +1,9 @@
 """A multirotor with its autopilot: the response to velocity and yaw-rate setpoints.
 
 The chain is common to real autopilots: a dead time, a limited and shaped velocity reference, a PI velocity controller
-whose output is an acceleration, a second-order tilt loop that follows it, drag against the moving air.  It flies by the
-velocity that its estimator believes in, which may differ from the true one.  The numbers of the settings are fitted to
-step responses of a flown PX4 and a flown ArduCopter (`sim/measured.py`).
+whose output is an acceleration, a second-order tilt loop that follows it, drag against the moving air.  The controller
+uses the estimated velocity, which may differ from the true one.  The parameters are fitted to step responses of a
+flown PX4 and a flown ArduCopter (`sim/measured.py`).
 
 The horizontal plane is complex, north + i·east, so that rotating the body frame by the yaw ψ into NED is one product:
 v = (forward + i·right)·exp(iψ).
@@ -172,7 +172,7 @@ class Vehicle:
 
     @property
     def reported(self) -> VehicleTruth:
-        """The motion as its estimator believes it: the true one, with a velocity of its own."""
+        """The motion as the vehicle estimates it: the true one, but with an error in the velocity."""
         m, (north, east, down) = self.motion, self._velocity_error
         return replace(m, north_m_s=m.north_m_s + north, east_m_s=m.east_m_s + east, down_m_s=m.down_m_s + down)
 
@@ -224,7 +224,7 @@ class Vehicle:
         limits = response.limits
         asked *= limits.level_m_s / abs(asked) if abs(asked) > limits.level_m_s else 1.0
         down = max(-limits.climb_m_s, min(limits.descend_m_s, climb.down_m_s))
-        # It controls the velocity that it believes in: a wrong one acts as a command that is wrong the other way.
+        # It controls the estimated velocity: an error of the estimate acts as the opposite error of the command.
         north_wrong, east_wrong, down_wrong = self._velocity_error
         command = asked * cmath.exp(1j * yaw) - complex(north_wrong, east_wrong)
         self._plane.step(response.horizontal, command, self._air(), dt)
@@ -261,7 +261,7 @@ class Vehicle:
         self._rate += (turn.gain_per_s * error + self._rate_integral - turn.damping_per_s * self._rate) * dt
 
     def _weather(self, dt: float) -> None:
-        """Advance gusts and wrong velocity: x' = x·e + σ·sqrt(1 - e²)·n with e = exp(-dt/τ), exact for any dt."""
+        """Advance gusts and velocity error: x' = x·e + σ·sqrt(1 - e²)·n with e = exp(-dt/τ), exact for any dt."""
         if self.wind.gust_m_s > 0.0:
             keep = math.exp(-dt / self.wind.gust_time_s)
             spread = self.wind.gust_m_s * math.sqrt(1.0 - keep * keep)
@@ -285,7 +285,7 @@ class Vehicle:
         self._plane = _Loop(0.0, 0.0)
         self._lift = _Loop(0.0, 0.0)
         self._rate = self._rate_ref = self._rate_integral = 0.0
-        self._velocity_error = _NONE  # an estimator knows a vehicle at rest
+        self._velocity_error = _NONE  # the estimator knows that a vehicle on the ground does not move
         now = self.motion
         ground_m = self._ground(now.north_m, now.east_m)
         self.motion = VehicleTruth(

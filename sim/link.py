@@ -1,4 +1,4 @@
-"""The built-in vehicle behind the Link seam, in lockstep: time passes only when the camera asks for it."""
+"""The built-in vehicle behind the Link seam, in lockstep: time passes only when the camera calls `advance`."""
 
 import math
 from collections import deque
@@ -25,13 +25,13 @@ class SimLink:
 
     def __init__(self, vehicle: Vehicle, telemetry_delay_s: float = TELEMETRY_DELAY_S) -> None:
         self.vehicle = vehicle
-        self.setpoint = present(vehicle.reported)  # whoever flew it here keeps its velocity until we send
+        self.setpoint = present(vehicle.reported)  # until our first setpoint it keeps the velocity of its start
         self.sent_t_s: float | None = None
         self._delay_s = telemetry_delay_s
         self._reports: deque[VehicleTruth] = deque([vehicle.reported])
 
     def advance(self, dt_s: float) -> VehicleTruth:
-        """Let time pass and give the vehicle's true state at its end."""
+        """Let time pass and return the vehicle's true state at its end."""
         vehicle = self.vehicle
         if dt_s > 0.0:
             vehicle.step(self._obeyed(), dt_s)
@@ -52,7 +52,7 @@ class SimLink:
         return Setpoint(down_m_s=PX4_SINK_M_S) if self.vehicle.autopilot is Autopilot.PX4 else HOVER
 
     def state(self) -> VehicleState:
-        """The state as telemetry has it, a little old."""
+        """The state as telemetry reports it, `telemetry_delay_s` old."""
         m, autopilot = self._reports[0], self.vehicle.autopilot
         px4_lost = autopilot is Autopilot.PX4 and not self.obeys()
         return VehicleState(
@@ -79,7 +79,7 @@ class SimLink:
         )
 
     def send(self, setpoint: Setpoint | None) -> None:
-        """Give the vehicle its next setpoint; None sends nothing, and after a while its own failsafe acts.
+        """Give the vehicle its next setpoint; None sends nothing, so that its own failsafe acts after a while.
 
         Raises ValueError for a setpoint that is not finite.
         """

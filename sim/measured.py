@@ -1,8 +1,7 @@
-"""What was measured of two flown autopilots: PX4 1.16.0 (SIH quadrotor) and ArduCopter 4.7-dev (SITL quad).
+"""Measured responses of two flown autopilots: PX4 1.16.0 (SIH quadrotor) and ArduCopter 4.7-dev (SITL quad).
 
 Velocity steps over MAVLink, 20 setpoints a second, frame 8, two samples of each (docs/vehicle.md).  The response models
-are fitted by `tools/studies/fit_vehicle.py`; how long each obeys without setpoints stands in
-`follow/link/flight_modes.py`.
+are fitted by `tools/studies/fit_vehicle.py`; the stream timeouts are in `follow/link/flight_modes.py`.
 """
 
 import math
@@ -18,12 +17,12 @@ PX4_SINK_M_S = 0.6
 """PX4 after a lost stream without a remote control (COM_OBL_RC_ACT = 0, position mode): it drifts and sinks."""
 
 TOP_M_S = {Autopilot.ARDUPILOT: (11.4, math.radians(30.0))}
-"""Speed that a tilt keeps, measured: flying after a car ArduCopter topped out at 11 to 11.8 m/s with 30 degrees."""
+"""(top speed, tilt), measured: ArduCopter following a car reached 11 to 11.8 m/s at its tilt limit of 30 degrees."""
 
 
 @dataclass(frozen=True, slots=True)
 class VelocityLoop:
-    """A PI velocity loop on one axis and the air that it works against.
+    """A PI velocity loop on one axis, with air drag.
 
     a_ask = gain·(v_ref - v) + integral·∫(v_ref - v)dt + feed_forward·a_ref, limited to `limit_m_s2`;
     a follows a_ask as ä = ω²(a_ask - a) - 2ζω·ȧ;  v̇ = a - (drag_per_s + drag_per_m·|u|)·u with u = v - wind.
@@ -74,7 +73,7 @@ class GaussMarkov:
 
 @dataclass(frozen=True, slots=True)
 class SpeedLimits:
-    """The fastest that an autopilot lets itself be asked to fly, whatever the setpoint says."""
+    """The autopilot's own speed limits: it clips setpoints to them."""
 
     level_m_s: float = math.inf
     climb_m_s: float = math.inf
@@ -85,8 +84,8 @@ class SpeedLimits:
 class ResponseModel:
     """How one autopilot responds.
 
-    `velocity_error` is how far the velocity that its estimator believes in, flies by and reports is from the true one:
-    it wanders by that while it reports that it does not.
+    `velocity_error` is the error of its estimated velocity, which it controls and reports: the vehicle drifts by that
+    velocity while its telemetry shows that it stands still.
     """
 
     horizontal: VelocityLoop
@@ -96,7 +95,7 @@ class ResponseModel:
     velocity_error: GaussMarkov = GaussMarkov()
 
     def steady(self) -> Self:
-        """The same with an estimator that knows its velocity."""
+        """The same without an error of the estimated velocity."""
         return replace(self, velocity_error=GaussMarkov())
 
 
@@ -114,16 +113,16 @@ _ARDUPILOT_VERTICAL = VelocityLoop(0.081, 1.59, 0.37, 1.2, 12.2, 1.0, 0.0, 0.0, 
 _ARDUPILOT_TURN = YawLoop(0.1, 3.14, 20.3, 2.03, math.radians(60.0), 19.2)
 
 RESPONSES: dict[Autopilot, tuple[ResponseModel, ...]] = {
-    # One model for both samples: they differ by no more than PX4's wandering.
+    # One model for both samples: they differ by no more than PX4 drifts.
     Autopilot.PX4: (
         ResponseModel(
             VelocityLoop(0.066, 1.54, 0.425, 0.342, 11.7, 0.567, 0.261, 0.0, _PX4_TILT, math.inf, math.inf),
             VelocityLoop(0.059, 6.17, 2.97, 0.092, 25.0, 1.0, 0.11, 0.0, 5.0, math.inf, math.inf),
             YawLoop(0.071, 3.57, 1.12, 0.657, 3.5, 8.7),
             SpeedLimits(12.0, 3.0, 1.5),  # MPC_XY_VEL_MAX, MPC_Z_VEL_MAX_UP, MPC_Z_VEL_MAX_DN
-            # North and east: steps without a command sideways report 0.07 m/s RMS, which an error of 0.2 leaves; Hold
-            # reports 0.2 to 0.5 m/s, and a commanded zero moves 1 to 3 m in 5 s.
-            # Down: by how much the reported height moves more than the reported velocity says.
+            # North and east: during forward steps the reported sideways velocity is 0.07 m/s RMS, which the model gives
+            # with an error of 0.2.  Hold reports 0.2 to 0.5 m/s; at a commanded zero PX4 moves 1 to 3 m in 5 s.
+            # Down: the change of the reported height less the integral of the reported velocity.
             GaussMarkov(0.2, 0.2, 0.14, 5.0),
         ),
     ),

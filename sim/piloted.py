@@ -1,7 +1,7 @@
-"""The built-in vehicle with a simulated pilot, in real time: for a person who orders FOLLOW and STOP.
+"""The built-in vehicle with a simulated pilot, in real time: for a user who tries FOLLOW and STOP.
 
-Before FOLLOW the pilot flies behind the target by hand, as a person would who brings the vehicle there.  STOP leaves it
-hovering; some seconds later the pilot takes it back to the target, so that one can try again.
+Before FOLLOW the simulated pilot flies the vehicle to a place behind the target.  After STOP it hovers for some
+seconds; then the pilot takes it back behind the target, so that the user can try again.
 """
 
 import math
@@ -21,7 +21,7 @@ APPROACH_PER_S, APPROACH_M_S = 0.5, 5.0
 TURN_PER_S, TURN_RAD_S = 1.0, 0.8
 CLIMB_PER_S, CLIMB_M_S = 0.5, 2.0
 AHEAD_S = 0.1  # over which the pilot judges the target's velocity
-BEHIND_S = 0.5  # a run that is this late gives up the lost time: it goes slower than the clock
+BEHIND_S = 0.5  # a run that is later than this does not catch up: simulated time then falls behind the clock
 
 
 class PilotedLink(SimLink):
@@ -46,23 +46,23 @@ class PilotedLink(SimLink):
         return self.mode == self._modes.control
 
     def take_control(self) -> None:
-        """The program requests OFFBOARD or GUIDED, and gets it."""
+        """Enter OFFBOARD or GUIDED, as after the program's request."""
         self.mode = self._modes.control
 
     def hold(self, *, for_sticks: bool = False) -> None:
-        """The program requests that the vehicle hovers, or the mode in which the pilot's sticks act."""
+        """Leave control for a hovering mode or, `for_sticks`, the mode that obeys the pilot's sticks."""
         if self.in_control:
             self.mode = self._modes.sticks if for_sticks or self.vehicle.autopilot is Autopilot.ARDUPILOT else "HOLD"
             self._held_t_s = self.vehicle.motion.t_s
 
     def send(self, setpoint: Setpoint | None) -> None:
-        """As any link; with the end of the stream Hold is requested, as the real one does."""
+        """As any link; at the end of the stream (None) Hold is requested, as by the real link."""
         super().send(setpoint)
         if setpoint is None:
             self.hold()
 
     def state(self) -> VehicleState:
-        """The state as telemetry has it."""
+        """The state as telemetry reports it."""
         return replace(super().state(), mode=self.mode, in_control=self.in_control)
 
     def advance(self, dt_s: float) -> VehicleTruth:
@@ -78,7 +78,7 @@ class PilotedLink(SimLink):
         return HOVER if hovers else self._by_hand()
 
     def _by_hand(self) -> Setpoint:
-        """What the pilot flies: to the place behind the target, looking at it."""
+        """The pilot's setpoint: toward the place behind the target, the nose turned toward the target."""
         m = self.vehicle.motion
         pose, soon = self._target(m.t_s), self._target(m.t_s + AHEAD_S)
         back = heading_to_ned(-self._standoff_m, 0.0, pose.heading_rad)
@@ -97,7 +97,7 @@ class PilotedLink(SimLink):
 
 
 class RealTimePace:
-    """What carries a camera in real time: each step of the flight takes as long as it says, or longer."""
+    """Carries a camera in real time: a step of `dt_s` takes that long, or longer on a slow machine."""
 
     def __init__(self, link: SimLink, clock: Callable[[], float] = time.monotonic) -> None:
         self._link, self._clock = link, clock

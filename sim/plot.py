@@ -24,7 +24,7 @@ HALF = 0.5  # of the target visible, below which the plot marks it as hidden
 
 
 class Strip:
-    """Keeps a few small images of a flight as it goes by, with the true box (yellow) and the tracker's (red)."""
+    """Keeps a few small images of a running flight, with the true box (yellow) and the tracker's (red)."""
 
     def __init__(self, duration_s: float) -> None:
         self.images: list[tuple[float, Image]] = []

@@ -35,18 +35,18 @@ from sim.scene.worlds import (
 
 Stage = Callable[[np.random.Generator, Kind, float], World]
 
-LEAST_DOWN_RAD = 0.1  # a camera that looks higher sees no target while the vehicle hovers
+LEAST_DOWN_RAD = 0.1  # with a camera that looks higher the target is out of the image while the vehicle hovers
 MIDDLE_M = {Kind.WALKER: 0.9, Kind.RUNNER: 0.9, Kind.CYCLIST: 0.9, Kind.CAR: 0.7}  # height of an actor's middle
 
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """One flight to be flown well.
+    """One simulated flight: the world, the vehicle's start, the camera and the settings that differ from the defaults.
 
-    `height_m` and `standoff_m` (along the ground) are where it starts and what the servo is to keep; the camera is
+    The flight starts at `height_m` and `standoff_m` (along the ground), which the servo is to keep; the camera is
     mounted so that the target is in the image's middle row there at `cruise_m_s`.  `limits` are the gate's limits that
-    differ in this flight, `parameters` the autopilot's, `size_m` is about the target's sqrt(width x height),
-    `middle_fraction` as the setting of the target.
+    differ in this flight, `parameters` the autopilot's; `size_m` is about the target's sqrt(width x height),
+    `middle_fraction` the setting of that name.
     """
 
     name: str
@@ -58,7 +58,7 @@ class Scenario:
     standoff_m: float = 9.0
     cruise_m_s: float = 1.4
     rolling_start: bool = False  # the vehicle already flies at the target's speed
-    face_to_face: bool = False  # the vehicle starts before the target, not behind it
+    face_to_face: bool = False  # the vehicle starts in front of the target, not behind it
     size_m: float = 1.0
     middle_fraction: float = 0.5
     limits: dict[str, float] = field(default_factory=dict)
@@ -78,13 +78,13 @@ class Scenario:
         return replace(world, sun=replace(world.sun, light=self.light), seed=seed)
 
     def down_rad(self, autopilot: Autopilot) -> float:
-        """How far the camera looks below the nose: to the target, less the lean that the cruise needs."""
+        """The camera's angle below the nose: toward the target, less the vehicle's tilt at cruise speed."""
         lean = response_of(autopilot).horizontal.lean_rad(self.cruise_m_s)
         return max(math.atan2(self.height_m - MIDDLE_M[self.kind], self.standoff_m) - lean, LEAST_DOWN_RAD)
 
     @property
     def suggested(self) -> dict[str, dict[str, float]]:
-        """What this flight suggests of the application's settings, by branch.
+        """The application's settings that suit this flight, by branch.
 
         The camera's angle is missing: it depends on the autopilot (`camera_settings`).
         """
@@ -96,7 +96,7 @@ class Scenario:
         }
 
     def start(self, world: World, seed: int) -> VehicleTruth:
-        """Behind the target, or before it, looking at it within a few degrees."""
+        """Behind the target or in front of it, with the nose within a few degrees of its direction."""
         random = np.random.default_rng([seed, 7])
         target = world.target(0.0)
         yaw = target.heading_rad + (math.pi if self.face_to_face else 0.0)
@@ -137,7 +137,7 @@ class Scenario:
 def build(
     scenario: Scenario, seed: int, autopilot: Autopilot, mount: CameraSettings | None = None
 ) -> tuple[SceneCamera, SimLink, World]:
-    """The flight in lockstep: the camera's rounds drive the vehicle's time.  `mount` replaces its own camera."""
+    """The flight in lockstep: the camera's rounds advance the vehicle's time.  `mount` replaces the own camera."""
     world = scenario.world(seed)
     response = flown(response_of(autopilot, seed), defaults(autopilot) | scenario.parameters.get(autopilot, {}))
     start, ground = scenario.start(world, seed), world.terrain.height_m
@@ -213,7 +213,7 @@ def hill(grade: float = 0.1, speed_m_s: float = 1.4, distance_m: float = 70.0) -
 
 
 def head_on(speed_m_s: float = 3.0, height_m: float = 8.0, standoff_m: float = 12.0) -> Scenario:
-    """Somebody comes straight at the drone, m/s, that hovers at a height and a distance, m."""
+    """Somebody comes straight at the hovering drone.  `height_m` and `standoff_m` are where it hovers."""
     return replace(
         WALK,
         name="head-on",
@@ -229,7 +229,7 @@ def head_on(speed_m_s: float = 3.0, height_m: float = 8.0, standoff_m: float = 1
 
 
 def about_face(speed_m_s: float = 4.0) -> Scenario:
-    """A runner, m/s, turns on the spot and comes back along its own line, to where the drone is."""
+    """A runner turns on the spot and comes back along its own line, toward the drone."""
     return replace(
         RUN,
         name="turn-back",
@@ -241,7 +241,7 @@ def about_face(speed_m_s: float = 4.0) -> Scenario:
 
 
 def doorway(speed_m_s: float = 5.0) -> Scenario:
-    """A runner, m/s, vanishes through the door of a house that lies across the path."""
+    """A runner vanishes through the door of a house that lies across the path."""
     return replace(
         RUN,
         name="doorway",
@@ -254,7 +254,7 @@ def doorway(speed_m_s: float = 5.0) -> Scenario:
 
 
 def outrun(speed_m_s: float = 8.0, limit_m_s: float = 5.0) -> Scenario:
-    """A cyclist speeds up to more than the vehicle may fly, both in m/s."""
+    """A cyclist speeds up to `speed_m_s`, more than the vehicle's `limit_m_s`."""
     return replace(
         RIDE,
         name="outrun",

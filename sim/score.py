@@ -1,4 +1,4 @@
-"""How well a flight followed: pure functions over its rows, each a tick and what was true then.
+"""How well a flight followed: pure functions over its rows, each a tick with the ground truth of its time.
 
 Nothing here trusts the estimate or the gate: offsets and distances are of the true target from the true vehicle, and
 the limits are checked again on what was sent and on where the vehicle really went.
@@ -18,9 +18,9 @@ from sim.camera import FrameTruth, SceneCamera
 from sim.dynamics import VehicleTruth
 from sim.scene.world import ActorPose, Kind
 
-ON_TARGET_IOU = 0.1  # less overlap than this is no longer the target; the trackers' usual mark for a lost one is 0
+ON_TARGET_IOU = 0.1  # a box that overlaps less is not on the target; benchmarks usually count a target as lost at 0
 HIDDEN = 0.25  # fraction of the target that shows, below which it counts as occluded
-BEHIND = 2.0  # offset, in half widths, that counts for a target behind the camera; also the largest that counts
+BEHIND = 2.0  # offset, in half widths, of a target behind the camera; larger offsets are clipped to it
 SLACK = 1e-6  # relative; rounding of the limits' own arithmetic
 
 PERSON_M = (0.0, 0.0, 1.75)
@@ -30,11 +30,11 @@ BODY_M = {Kind.WALKER: PERSON_M, Kind.RUNNER: PERSON_M, Kind.CYCLIST: (1.75, 0.0
 
 @dataclass(frozen=True, slots=True)
 class ScoredTick:
-    """What scoring needs of one round.
+    """One round of the flight, with all that scoring uses.
 
     `box` is the tracker's (None: no new frame) and `truth` that frame's.  `nearest_m` and `nearest_other_m` lead from
     the vehicle to the target's body and to the nearest other actor's (inf: there is nobody else).  `begins` is whether
-    the setpoints began again at the vehicle's own velocity, because it does not fly what was sent.
+    the gate restarted its ramps at the vehicle's measured velocity, because the vehicle does not follow the setpoints.
     """
 
     t_s: float
@@ -51,7 +51,7 @@ class ScoredTick:
 
     @classmethod
     def of(cls, tick: Tick, camera: SceneCamera) -> "ScoredTick":
-        """The row of a tick that the camera has just led to."""
+        """The row of the tick that has just processed the camera's round."""
         track, (vehicle, poses) = tick.track, camera.now()
         away = [body_distance(a.kind, p, vehicle) for a, p in zip(camera.world.actors, poses, strict=True)]
         return cls(
@@ -103,7 +103,7 @@ def score(
     worst_t_s       time of the largest offset from the middle, `worst_offset`
     nearest_m       least distance from the vehicle to the target's body, from feet to head
     nearest_other_m the same to anybody else; None without one
-    violations      {limit: rounds in which it was passed}; `limits` are named as the gate's own
+    violations      {limit: rounds in which it was exceeded}; `limits` have the names of the gate's limits
 
     Raises ValueError if no row has a frame.
     """
@@ -187,7 +187,7 @@ def strayed(row: ScoredTick) -> bool:
 
 
 def on_decoy(row: ScoredTick) -> bool:
-    """On another actor and not on the target; a box that the tracker itself does not believe in does not count."""
+    """On another actor and not on the target; a box that the tracker reports as not found does not count."""
     others = range(1, len(row.truth.seen)) if row.truth else range(0)
     return row.found and not on(row, 0) and any(on(row, k) for k in others)
 
@@ -223,11 +223,11 @@ def reacquired(rows: Sequence[ScoredTick]) -> bool | None:
 
 
 def violations(rows: Sequence[ScoredTick], limits: Mapping[str, float]) -> dict[str, int]:
-    """In how many rounds each limit was passed, from the first that sent a setpoint on.
+    """In how many rounds each limit was exceeded, from the round of the first setpoint on.
 
     Speeds and the distance to the target's body are checked in rounds that sent a setpoint, accelerations if the round
-    before also did and the setpoints did not begin again; the vehicle's own position in all.  Heights are above the
-    ground below the vehicle, the fence is about its position at the first setpoint.
+    before also did and the ramps did not restart; the vehicle's own position in all.  Heights are above the ground
+    below the vehicle, the fence is centred on its position at the first setpoint.
     """
     count: Counter[str] = Counter()
     first = next((k for k, row in enumerate(rows) if row.setpoint is not None), len(rows))

@@ -1,4 +1,4 @@
-"""A vehicle in somebody's hands, propellers off, turned to and fro: what `follow doctor --wave` is tested with."""
+"""A vehicle in somebody's hands, propellers off, turned back and forth, for tests of `follow doctor --wave`."""
 
 import math
 from dataclasses import replace
@@ -10,10 +10,10 @@ from follow.messages import Autopilot, Setpoint
 from sim.dynamics import Vehicle, VehicleTruth
 
 CHEST_M = 1.5  # height of the hands above the ground
-LEVER_M = (0.25, 0.0, 0.05)  # from the wrists to the vehicle, body axes: it does not turn about its own middle
+LEVER_M = (0.25, 0.0, 0.05)  # from the wrists, about which it turns, to the vehicle; body axes
 SWINGS = ((0.45, 0.37), (0.28, 0.53), (0.30, 0.61))  # amplitude (rad) and frequency (Hz) in yaw, pitch, roll
-EASE_S = 1.0  # it begins at rest
-SWAY_M, SWAY_HZ = 0.03, 0.23  # the hands do not stay where they are
+EASE_S = 1.0  # the swings grow from rest over this time
+SWAY_M, SWAY_HZ = 0.03, 0.23  # the hands drift a little
 
 
 class WavedVehicle(Vehicle):
@@ -31,7 +31,7 @@ class WavedVehicle(Vehicle):
         return self.motion
 
     def at(self, t_s: float) -> VehicleTruth:
-        """Its motion at a time."""
+        """The vehicle's motion at a time."""
         yaw, pitch, roll = self.angles(t_s)
         place, before = self.place(t_s), self.place(t_s - 1e-3)
         speed = (place - before) / 1e-3

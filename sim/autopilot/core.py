@@ -1,6 +1,6 @@
-"""What a simulated autopilot does with the vehicle: modes, arming, guidance, failsafes; no MAVLink.
+"""A simulated autopilot without MAVLink: modes, arming, guidance, failsafes.
 
-`AutopilotCore` is what PX4 and ArduCopter share; `sim/autopilot/rules.py` holds their differences.
+`AutopilotCore` is the behaviour that PX4 and ArduCopter share; `sim/autopilot/rules.py` has their differences.
 """
 
 import math
@@ -22,7 +22,7 @@ CLIMB_M_S = 1.5  # PX4 MPC_TKO_SPEED
 DESCEND_M_S = {Autopilot.PX4: 0.7, Autopilot.ARDUPILOT: 0.5}  # MPC_LAND_SPEED, LAND_SPEED
 STICK_M_S = 5.0  # at full deflection
 ARRIVED_M = 0.3
-AT_HOME_M = 1.0  # PX4 wanders by 0.3 m where it should stay
+AT_HOME_M = 1.0  # well above the 0.3 m by which PX4 drifts while it holds a position
 NO_PWM = 0xFFFF  # PWM of an RC channel that does not exist
 
 
@@ -53,7 +53,7 @@ class Command:
 
 
 class Guidance(Enum):
-    """What steers the vehicle in a flight mode."""
+    """The source of the setpoint in a flight mode."""
 
     STAY = auto()
     CLIMB = auto()
@@ -65,7 +65,7 @@ class Guidance(Enum):
 
 @dataclass(frozen=True, slots=True)
 class AutopilotMode:
-    """A flight mode: its numbers in DO_SET_MODE (main and sub, or ArduPilot's one) and what steers in it."""
+    """A flight mode: its numbers in DO_SET_MODE (main and sub, or ArduPilot's one) and its source of setpoints."""
 
     number: int
     sub: int
@@ -100,8 +100,8 @@ class AutopilotCore(ABC):
         self.switches: tuple[int, ...] = ()  # PWM of RC channels 5 and up, microseconds, NO_PWM for none
         self._sticks_end_s = math.inf  # MAVLink sticks are dropped then, unless repeated
         self.command: Command | None = None  # the setpoint that is obeyed in OFFBOARD or GUIDED
-        self.datum_down_m = 0.0  # where the estimator's z = 0 lies, against the ground where it booted
-        self.jump_ned_m = (0.0, 0.0, 0.0)  # how far its resets have moved its position so far
+        self.datum_down_m = 0.0  # offset of the estimator's z = 0 from the ground where it booted
+        self.jump_ned_m = (0.0, 0.0, 0.0)  # sum of all position resets so far
         self.resets = 0
         self.rangefinder_m = 0.0  # range of a rangefinder that looks down; 0: it has none
         self._guides: dict[Guidance, Callable[[], Setpoint]] = {
@@ -119,20 +119,20 @@ class AutopilotCore(ABC):
         self._point = (motion.north_m, motion.east_m, motion.down_m)
         self._climb_to_m = 0.0
         self.beyond_fence = False
-        self._battery_told = False
+        self._battery_warned = False
 
     @property
     def has_remote(self) -> bool:
-        """Whether it knows a remote control, lost or not."""
+        """Whether it has a remote control, lost or not."""
         return self.resting_sticks is not None or self.sticks is not None
 
     def believed_ned_m(self) -> tuple[float, float, float]:
-        """The position as the estimator has it, local NED."""
+        """The estimated position, local NED."""
         motion, (north, east, down) = self.vehicle.motion, self.jump_ned_m
         return motion.north_m + north, motion.east_m + east, motion.down_m + self.datum_down_m + down
 
     def reset_estimate(self, north_m: float, east_m: float, down_m: float) -> None:
-        """The estimator moves its position at once, as after a GPS or barometer glitch."""
+        """Shift the estimated position in one step, as an estimator does after a GPS or barometer glitch."""
         north, east, down = self.jump_ned_m
         self.jump_ned_m = north + north_m, east + east_m, down + down_m
         self.resets += 1
@@ -237,8 +237,8 @@ class AutopilotCore(ABC):
             self.texts.append("Geofence exceeded" if self.autopilot is Autopilot.PX4 else "Fence Breached")
             self.enter(mode)
         self.beyond_fence = outside
-        if self.armed and not self._battery_told and self._battery_low():
-            self._battery_told = True
+        if self.armed and not self._battery_warned and self._battery_low():
+            self._battery_warned = True
             self.texts.append("Low battery")
             if mode := self._battery_mode():
                 self.enter(mode)

@@ -35,7 +35,7 @@ KEPT_LINES = 200  # for a terminal that Ctrl-S stopped
 
 @dataclass(slots=True)
 class Pilot:
-    """Acts on keys.  `step` moves a pushed stick on; `report` is told what each key did."""
+    """Acts on keys.  `step` continues the movement of a pushed stick; `report` gets a line about each key's effect."""
 
     flight: AutopilotCore
     report: Notify
@@ -101,7 +101,7 @@ class Pilot:
 
 @dataclass(slots=True)
 class Console:
-    """The terminal: lines out, keys in, and never a wait, also while Ctrl-S has stopped it.
+    """The terminal: prints lines and reads keys without ever blocking, even while Ctrl-S has stopped the output.
 
     Keys are read only from a terminal, and only in its foreground: a background process that reads is stopped.
     """
@@ -123,19 +123,19 @@ class Console:
                 termios.tcsetattr(self.keyboard, termios.TCSANOW, self._before)
 
     def serve(self, pilot: Pilot) -> None:
-        """One round: the pilot acts on the keys, and lines that had to wait are written."""
+        """One round: the pilot acts on the keys, and pending lines are written."""
         for key in self.typed():
             pilot.press(key)
         pilot.step()
         self.flush()
 
     def report(self, line: str) -> None:
-        """Print one line for a person, now or when the terminal takes it; of too many the oldest are dropped."""
+        """Print one line for the user as soon as the terminal accepts it; beyond KEPT_LINES the oldest are dropped."""
         self.lines.append(f"sim.autopilot: {line}\n")
         self.flush()
 
     def flush(self) -> None:
-        """Write the lines that standard error takes without a wait."""
+        """Write the lines that standard error accepts without blocking."""
         while self.lines and takes_text():
             sys.stderr.write(self.lines.popleft())
             sys.stderr.flush()
@@ -149,7 +149,7 @@ class Console:
             before = termios.tcgetattr(keyboard)
             if before[3] & termios.ICANON:  # at the start, and when a shell brings the process back
                 self._before = before
-                tty.setcbreak(keyboard, termios.TCSANOW)  # the others wait for a stopped terminal
+                tty.setcbreak(keyboard, termios.TCSANOW)  # TCSADRAIN and TCSAFLUSH would block on a stopped terminal
             ready = select.select([keyboard], [], [], 0)[0]
             return os.read(keyboard, 64).decode(errors="replace").lower() if ready else ""
         except (OSError, termios.error):  # the terminal was closed
@@ -159,7 +159,7 @@ class Console:
     def _in_front(self) -> bool:
         try:
             return self.keyboard is not None and os.tcgetpgrp(self.keyboard) == os.getpgrp()
-        except OSError:  # not the terminal of this session, or closed: nobody can stop the process for reading
+        except OSError:  # not this session's terminal, or closed: reading then does not stop the process (SIGTTIN)
             return True
 
 

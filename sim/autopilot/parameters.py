@@ -89,7 +89,7 @@ FIRMWARES: dict[Autopilot, tuple[str, ...]] = {
 }
 DEFAULT_FIRMWARE = {Autopilot.PX4: "1.16", Autopilot.ARDUPILOT: "4.7"}
 
-# What a version lacks of the tables above, and what it has in addition
+# Parameters of the tables above that a version lacks, and parameters that it has in addition
 LACKS: dict[tuple[Autopilot, str], tuple[str, ...]] = {
     (Autopilot.PX4, "1.18"): ("COM_RC_OVERRIDE", "COM_RC_STICK_OV"),
     (Autopilot.ARDUPILOT, "4.5"): (

@@ -68,7 +68,7 @@ class Options:
 
 
 class UdpPort:
-    """One UDP path: `udpout:` speaks first to an address, `udpin:` waits at one and answers whoever spoke last.
+    """One UDP path: `udpout:` sends first to an address, `udpin:` waits at one and answers the latest sender.
 
     Raises ValueError for an invalid `uri`, OSError for an address that cannot be bound.
     """
@@ -107,7 +107,7 @@ class UdpPort:
                 self.socket.sendto(packet, self._peer)
 
     def close(self) -> None:
-        """Give the port back."""
+        """Release the port."""
         self.socket.close()
 
 
@@ -151,7 +151,7 @@ def set_parameter(known: dict[str, float | int], setting: str) -> None:
 
 @contextlib.contextmanager
 def open_port(option: str, uri: str) -> Generator[UdpPort, None, None]:
-    """The port that an option asks for, given back at the end; raises ValueError when it cannot be had."""
+    """The port of an option, released at the end; raises ValueError when it cannot be opened."""
     try:
         port = UdpPort(uri)
     except ValueError as error:
@@ -191,7 +191,7 @@ def run(
     speedup: float = 1.0,
     report: Notify = lambda _line: None,
 ) -> None:
-    """Serve the ports until `is_over` says so; `report` hears of mode changes, commands and texts."""
+    """Serve the ports until `is_over()`; `report` gets mode changes, commands and texts."""
     began = time.monotonic()
     mode = system.flight.mode
     while not is_over():
@@ -213,7 +213,7 @@ def run(
 
 
 def read(words: Sequence[str]) -> Options:
-    """The options that the words spell; raises SystemExit for help, ValueError for words that are not understood."""
+    """The options of a command line; raises SystemExit for help, ValueError for unknown words."""
     for option, value in pairwise(words):
         if option == "--set" and "=" not in value:
             raise ValueError(f"--set must be NAME=VALUE with a finite number, not {value!r}")
@@ -224,12 +224,12 @@ def read(words: Sequence[str]) -> Options:
 
 
 def report(line: str) -> None:
-    """Print one line for a person."""
+    """Print one line for the user."""
     sys.stderr.write(f"sim.autopilot: {line}\n")
 
 
 def main() -> None:
-    """Run until interrupted; bad options are one sentence and exit status 2."""
+    """Run until interrupted; a wrong option is reported in one sentence with exit status 2."""
     try:
         options = read(sys.argv[1:])
     except ValueError as error:

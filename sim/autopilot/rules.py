@@ -18,7 +18,7 @@ STREAM_RECENT_S = 0.5  # PX4: OFFBOARD needs setpoints at more than 2 Hz; here o
 STICKS_LAST_S = 0.5  # PX4: COM_RC_LOSS_T's default
 STICK_TIME_S = 0.25  # PX4: a stick that moved is at rest again after about this
 AVOID_MARGIN_M = 2.0  # ArduCopter: FENCE_MARGIN's default; seen to stop this far inside the fence
-AVOID_ACCEL_M_S2 = 1.0  # deceleration towards it, which dead time and jerk leave room for
+AVOID_ACCEL_M_S2 = 1.0  # deceleration toward it, low enough for the dead time and the jerk limit
 AVOID_TIME_S = 1.5  # ... and the time constant of the last metres
 
 

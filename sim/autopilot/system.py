@@ -1,4 +1,4 @@
-"""A simulated autopilot as a MAVLink system, without I/O: bytes in, time on, bytes out.
+"""A simulated autopilot as a MAVLink system, without I/O: `receive` bytes, `step` the time, `take` bytes to send.
 
 It has one or more links (an application's, a ground station's), each with its own message intervals.  Messages for
 others are forwarded between the links, as PX4 and ArduPilot do.
@@ -35,7 +35,7 @@ NOTED = {
     dialect.MAV_CMD_NAV_LAND: "landing",
     dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH: "return",
 }
-"""Commands worth a line for a person."""
+"""Commands that are worth a line for the user."""
 # The messages of the old REQUEST_DATA_STREAM, all groups together
 STREAMED = (
     dialect.MAVLINK_MSG_ID_SYS_STATUS,
@@ -49,7 +49,7 @@ STREAMED = (
 
 
 def sender(source: tuple[int, int]) -> str:
-    """A sender for a person to read."""
+    """A sender as text for the user."""
     return f"system {source[0]} component {source[1]}"
 
 
@@ -86,50 +86,50 @@ class AutopilotSystem:
         self.t_s = self.flight.t_s
         self._boot_s = boot_s
         self._signing_time = signing_time
-        self._told_mode = self.flight.mode
-        self.told: list[str] = []  # of the last step: who commanded what, and the texts sent
+        self._reported_mode = self.flight.mode
+        self.told: list[str] = []  # lines for the user from the last step: commands with their senders, texts sent
         self._commanded: list[str] = []
-        self._steered: dict[tuple[int, int], float] = {}  # sender of setpoints -> its last
+        self._steered: dict[tuple[int, int], float] = {}  # sender of setpoints -> time of its last one
         self._links = [_Link(self._codec(n, key), self._unasked()) for n in range(links)]
 
     def receive(self, data: bytes, link: int = 0) -> None:
         """Use bytes that arrived on one link."""
-        way = self._links[link]
-        for message in way.mav.parse_buffer(data) or ():
+        channel = self._links[link]
+        for message in channel.mav.parse_buffer(data) or ():
             if message.get_type() == "BAD_DATA" or message.get_type().startswith("UNKNOWN"):
                 continue
             source = message.get_srcSystem(), message.get_srcComponent()
-            way.heard.add(source)
+            channel.heard.add(source)
             if self._is_for_us(message) and (act := self.HANDLERS.get(message.get_type())):
-                act(self, message, way)
-            self._pass_on(message, way)
+                act(self, message, channel)
+            self._pass_on(message, channel)
 
     def step(self, t_s: float) -> None:
         """Fly until `t_s` and queue the telemetry that is due."""
         self.flight.advance(t_s)
         self.t_s = t_s
         ardupilot = self.flight.autopilot is Autopilot.ARDUPILOT
-        for way in self._links:
-            signing = way.mav.signing
+        for channel in self._links:
+            signing = channel.mav.signing
             signing.timestamp = max(signing.timestamp, self._signing_time + round(t_s * UNITS_PER_S))
-            if ardupilot and self.flight.mode != self._told_mode:
-                way.due_t_s[dialect.MAVLINK_MSG_ID_HEARTBEAT] = t_s  # it sends a new mode at once
-            for number, every_s in way.every_s.items():
-                if t_s >= way.due_t_s.get(number, t_s) - 1e-9:
-                    self._report(number, way)
-                    way.due_t_s[number] = max(way.due_t_s.get(number, t_s) + every_s, t_s)
+            if ardupilot and self.flight.mode != self._reported_mode:
+                channel.due_t_s[dialect.MAVLINK_MSG_ID_HEARTBEAT] = t_s  # it sends a new mode at once
+            for number, every_s in channel.every_s.items():
+                if t_s >= channel.due_t_s.get(number, t_s) - 1e-9:
+                    self._report(number, channel)
+                    channel.due_t_s[number] = max(channel.due_t_s.get(number, t_s) + every_s, t_s)
             for text in self.flight.texts:
                 severity = dialect.MAV_SEVERITY_CRITICAL
-                self._send(way, dialect.MAVLink_statustext_message(severity, text.encode()[:50]))
-        self._told_mode = self.flight.mode
+                self._send(channel, dialect.MAVLink_statustext_message(severity, text.encode()[:50]))
+        self._reported_mode = self.flight.mode
         self.told = [*self._commanded, *self.flight.texts]
         self._commanded.clear()
         self.flight.texts.clear()
 
     def take(self, link: int = 0) -> list[bytes]:
         """The packets to be sent now on one link; each is returned once."""
-        way = self._links[link]
-        out, way.out = way.out, []
+        channel = self._links[link]
+        out, channel.out = channel.out, []
         return out
 
     def _codec(self, link: int, key: bytes | None) -> dialect.MAVLink:
@@ -148,14 +148,14 @@ class AutopilotSystem:
     def _boot_time_s(self) -> float:
         return self.t_s + self._boot_s
 
-    def _report(self, number: int, way: _Link) -> None:
+    def _report(self, number: int, channel: _Link) -> None:
         """Send one message of telemetry; nothing where the flight has no such sensor."""
         if message := REPORTS[number](self.flight, self._boot_time_s()):
-            self._send(way, message)
+            self._send(channel, message)
 
-    def _send(self, way: _Link, message: Message) -> None:
-        way.out.append(message.pack(way.mav))
-        way.mav.seq = (way.mav.seq + 1) % 256
+    def _send(self, channel: _Link, message: Message) -> None:
+        channel.out.append(message.pack(channel.mav))
+        channel.mav.seq = (channel.mav.seq + 1) % 256
 
     def _is_for_us(self, message: Message) -> bool:
         system = getattr(message, "target_system", 0)
@@ -167,23 +167,23 @@ class AutopilotSystem:
         target = getattr(message, "target_system", 0), getattr(message, "target_component", 0)
         if target[0] and self._is_for_us(message):
             return
-        for way in self._links:
-            known = any(target[0] in (0, s) and target[1] in (0, c) for s, c in way.heard)
-            if way is not origin and known:
-                way.out.append(bytes(message.get_msgbuf()))
+        for channel in self._links:
+            known = any(target[0] in (0, s) and target[1] in (0, c) for s, c in channel.heard)
+            if channel is not origin and known:
+                channel.out.append(bytes(message.get_msgbuf()))
 
     # Messages
 
-    def _on_heartbeat(self, message: dialect.MAVLink_heartbeat_message, _way: _Link) -> None:
+    def _on_heartbeat(self, message: dialect.MAVLink_heartbeat_message, _channel: _Link) -> None:
         if message.type == dialect.MAV_TYPE_GCS:
             self.flight.ground_station_t_s = self.t_s
 
-    def _on_timesync(self, message: dialect.MAVLink_timesync_message, way: _Link) -> None:
+    def _on_timesync(self, message: dialect.MAVLink_timesync_message, channel: _Link) -> None:
         if message.tc1 == 0:
-            self._send(way, dialect.MAVLink_timesync_message(round(self._boot_time_s() * 1e9), message.ts1))
+            self._send(channel, dialect.MAVLink_timesync_message(round(self._boot_time_s() * 1e9), message.ts1))
 
     def _on_set_position_target_local_ned(
-        self, message: dialect.MAVLink_set_position_target_local_ned_message, _way: _Link
+        self, message: dialect.MAVLink_set_position_target_local_ned_message, _channel: _Link
     ) -> None:
         source = message.get_srcSystem(), message.get_srcComponent()
         if self.t_s - self._steered.get(source, NEVER) > SILENCE_S:
@@ -192,13 +192,13 @@ class AutopilotSystem:
         velocity = message.vx, message.vy, message.vz
         self.flight.take_setpoint(message.coordinate_frame, message.type_mask, velocity, message.yaw_rate)
 
-    def _on_manual_control(self, message: dialect.MAVLink_manual_control_message, _way: _Link) -> None:
+    def _on_manual_control(self, message: dialect.MAVLink_manual_control_message, _channel: _Link) -> None:
         axes = message.x, message.y, message.z, message.r
         pitch, roll, throttle, yaw = (None if axis == NO_AXIS else axis / 1e3 for axis in axes)
         down = None if throttle is None else 1.0 - 2.0 * throttle  # the throttle's middle is at 0.5
         self.flight.take_sticks((pitch, roll, down, yaw), self.flight.switches)
 
-    def _on_rc_channels_override(self, message: dialect.MAVLink_rc_channels_override_message, _way: _Link) -> None:
+    def _on_rc_channels_override(self, message: dialect.MAVLink_rc_channels_override_message, _channel: _Link) -> None:
         roll, pitch, throttle, yaw, *rest = (getattr(message, f"chan{n}_raw") for n in range(1, 9))
         before = self.flight.sticks or (None,) * 4
         moved = zip(before, (pitch, roll, throttle, yaw), (-1, 1, -1, 1), strict=True)
@@ -208,35 +208,35 @@ class AutopilotSystem:
         switches = tuple(old if pwm == KEEP else pwm or NO_PWM for old, pwm in switched)  # 0 is RELEASE
         self.flight.take_sticks(axes, switches)
 
-    def _on_set_mode(self, message: dialect.MAVLink_set_mode_message, _way: _Link) -> None:
+    def _on_set_mode(self, message: dialect.MAVLink_set_mode_message, _channel: _Link) -> None:
         custom = message.custom_mode
         px4 = self.flight.autopilot is Autopilot.PX4
         self.flight.ask_mode(*((custom >> 16 & 0xFF, custom >> 24 & 0xFF) if px4 else (custom, 0)))
 
-    def _on_request_data_stream(self, message: dialect.MAVLink_request_data_stream_message, way: _Link) -> None:
+    def _on_request_data_stream(self, message: dialect.MAVLink_request_data_stream_message, channel: _Link) -> None:
         for number in STREAMED:
-            way.every_s.pop(number, None)
+            channel.every_s.pop(number, None)
             if message.start_stop and message.req_message_rate:
-                way.every_s[number] = 1.0 / message.req_message_rate
+                channel.every_s[number] = 1.0 / message.req_message_rate
 
-    def _on_mission_request_list(self, message: dialect.MAVLink_mission_request_list_message, way: _Link) -> None:
+    def _on_mission_request_list(self, message: dialect.MAVLink_mission_request_list_message, channel: _Link) -> None:
         source = message.get_srcSystem(), message.get_srcComponent()
-        self._send(way, dialect.MAVLink_mission_count_message(*source, 0, message.mission_type))
+        self._send(channel, dialect.MAVLink_mission_count_message(*source, 0, message.mission_type))
 
     # Parameters
 
-    def _on_param_request_list(self, _message: dialect.MAVLink_param_request_list_message, way: _Link) -> None:
+    def _on_param_request_list(self, _message: dialect.MAVLink_param_request_list_message, channel: _Link) -> None:
         for name in self.flight.parameters:
-            self._tell_parameter(name, way)
+            self._send_parameter(name, channel)
 
-    def _on_param_request_read(self, message: dialect.MAVLink_param_request_read_message, way: _Link) -> None:
+    def _on_param_request_read(self, message: dialect.MAVLink_param_request_read_message, channel: _Link) -> None:
         names = list(self.flight.parameters)
         index = message.param_index
         name = names[index] if 0 <= index < len(names) else message.param_id
         if name in self.flight.parameters:
-            self._tell_parameter(name, way)
+            self._send_parameter(name, channel)
 
-    def _on_param_set(self, message: dialect.MAVLink_param_set_message, _way: _Link) -> None:
+    def _on_param_set(self, message: dialect.MAVLink_param_set_message, _channel: _Link) -> None:
         name = message.param_id
         if name not in self.flight.parameters:
             return
@@ -247,42 +247,42 @@ class AutopilotSystem:
         if not math.isfinite(value):
             return
         self.flight.parameters[name] = kind(value)
-        for way in self._links:
-            self._tell_parameter(name, way)
+        for channel in self._links:
+            self._send_parameter(name, channel)
 
-    def _tell_parameter(self, name: str, way: _Link) -> None:
+    def _send_parameter(self, name: str, channel: _Link) -> None:
         value = self.flight.parameters[name]
         kind = PARAMETER_TYPES[self.flight.autopilot][type(value)]
         if isinstance(value, int) and self.flight.autopilot is Autopilot.PX4:
             value = struct.unpack("<f", struct.pack("<i", value))[0]
         names = list(self.flight.parameters)
         message = dialect.MAVLink_param_value_message(name.encode(), value, kind, len(names), names.index(name))
-        self._send(way, message)
+        self._send(channel, message)
 
     # Commands
 
-    def _on_command_int(self, message: dialect.MAVLink_command_int_message, way: _Link) -> None:
+    def _on_command_int(self, message: dialect.MAVLink_command_int_message, channel: _Link) -> None:
         numbers = message.param1, message.param2, message.param3, message.param4, message.x, message.y, message.z
-        self._obey(message, message.command, numbers, way)
+        self._obey(message, message.command, numbers, channel)
 
-    def _on_command_long(self, message: dialect.MAVLink_command_long_message, way: _Link) -> None:
-        self._obey(message, message.command, tuple(getattr(message, f"param{n}") for n in range(1, 8)), way)
+    def _on_command_long(self, message: dialect.MAVLink_command_long_message, channel: _Link) -> None:
+        self._obey(message, message.command, tuple(getattr(message, f"param{n}") for n in range(1, 8)), channel)
 
-    def _obey(self, message: Message, command: int, p: tuple[float, ...], way: _Link) -> None:
+    def _obey(self, message: Message, command: int, p: tuple[float, ...], channel: _Link) -> None:
         """Execute one command and acknowledge it to its sender."""
         source = message.get_srcSystem(), message.get_srcComponent()
         if command in WHOLE and not math.isfinite(p[WHOLE[command]]):
             results = [Result.DENIED]
         else:
-            results = self.COMMANDS.get(command, AutopilotSystem._unsupported)(self, p, way)
+            results = self.COMMANDS.get(command, AutopilotSystem._unsupported)(self, p, channel)
         if command in NOTED:
             outcome = ", ".join(result.name for result in results)
             self._commanded.append(f"{sender(source)} commands {self._described(command, p)}: {outcome}")
         for result in results:
-            self._send(way, dialect.MAVLink_command_ack_message(command, int(result), 0, 0, *source))
+            self._send(channel, dialect.MAVLink_command_ack_message(command, int(result), 0, 0, *source))
 
     def _described(self, command: int, p: tuple[float, ...]) -> str:
-        """A command for a person to read, with the mode that it requests."""
+        """A command as text for the user, with the mode that it requests."""
         if command != dialect.MAV_CMD_DO_SET_MODE or not math.isfinite(p[1]):
             return NOTED[command]
         px4 = self.flight.autopilot is Autopilot.PX4
@@ -290,57 +290,57 @@ class AutopilotSystem:
         modes = self.flight.modes.items()
         return next((f"mode {name}" for name, mode in modes if (mode.number, mode.sub) == numbers), f"mode {numbers}")
 
-    def _unsupported(self, _p: tuple[float, ...], _way: _Link) -> list[Result]:
+    def _unsupported(self, _p: tuple[float, ...], _channel: _Link) -> list[Result]:
         return [Result.UNSUPPORTED]
 
-    def _arm_disarm(self, p: tuple[float, ...], _way: _Link) -> list[Result]:
+    def _arm_disarm(self, p: tuple[float, ...], _channel: _Link) -> list[Result]:
         return [self.flight.arm() if p[0] == 1.0 else self.flight.disarm(force=p[1] == FORCE)]
 
-    def _do_set_mode(self, p: tuple[float, ...], _way: _Link) -> list[Result]:
+    def _do_set_mode(self, p: tuple[float, ...], _channel: _Link) -> list[Result]:
         has_sub = self.flight.autopilot is Autopilot.PX4 and math.isfinite(p[2])  # NaN: not used
         sub = int(p[2]) if has_sub else 0
         return self.flight.ask_mode(int(p[1]), sub)
 
-    def _take_off(self, p: tuple[float, ...], _way: _Link) -> list[Result]:
+    def _take_off(self, p: tuple[float, ...], _channel: _Link) -> list[Result]:
         height = p[6] if math.isfinite(p[6]) else 0.0
         if height and self.flight.autopilot is Autopilot.PX4:
             height -= ORIGINS[Autopilot.PX4][2]  # PX4: above sea level; ArduPilot: above home
         return [self.flight.take_off(height)]
 
-    def _land(self, _p: tuple[float, ...], _way: _Link) -> list[Result]:
+    def _land(self, _p: tuple[float, ...], _channel: _Link) -> list[Result]:
         return [self.flight.land()]
 
-    def _return(self, _p: tuple[float, ...], _way: _Link) -> list[Result]:
+    def _return(self, _p: tuple[float, ...], _channel: _Link) -> list[Result]:
         self.flight.enter(self.flight.return_mode)
         return [Result.ACCEPTED]
 
-    def _set_message_interval(self, p: tuple[float, ...], way: _Link) -> list[Result]:
+    def _set_message_interval(self, p: tuple[float, ...], channel: _Link) -> list[Result]:
         number, interval_us = int(p[0]), p[1]
         if number == dialect.MAVLINK_MSG_ID_HEARTBEAT and self.flight.autopilot is Autopilot.PX4:
             return [Result.ACCEPTED]  # it stays at 1 Hz
         if number not in REPORTS:
             return [Result.UNSUPPORTED if self.flight.autopilot is Autopilot.PX4 else Result.DENIED]
-        way.every_s.pop(number, None)
-        way.due_t_s.pop(number, None)
+        channel.every_s.pop(number, None)
+        channel.due_t_s.pop(number, None)
         unasked = self._unasked().get(number)
         if interval_us > 0.0:
-            way.every_s[number] = interval_us / 1e6
+            channel.every_s[number] = interval_us / 1e6
         elif interval_us == 0.0 and unasked:
-            way.every_s[number] = unasked
+            channel.every_s[number] = unasked
         return [Result.ACCEPTED]
 
-    def _request_message(self, p: tuple[float, ...], way: _Link) -> list[Result]:
+    def _request_message(self, p: tuple[float, ...], channel: _Link) -> list[Result]:
         number = int(p[0])
         if number not in REPORTS:
             return [Result.UNSUPPORTED]
         if number == dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION:
-            self._send(way, autopilot_version(self.flight.autopilot, self.firmware))
+            self._send(channel, autopilot_version(self.flight.autopilot, self.firmware))
         else:
-            self._report(number, way)
+            self._report(number, channel)
         return [Result.ACCEPTED]
 
-    def _request_version(self, _p: tuple[float, ...], way: _Link) -> list[Result]:
-        return self._request_message((dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION,), way)
+    def _request_version(self, _p: tuple[float, ...], channel: _Link) -> list[Result]:
+        return self._request_message((dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION,), channel)
 
     HANDLERS: ClassVar[dict[str, Callable[["AutopilotSystem", Any, _Link], None]]] = {
         "HEARTBEAT": _on_heartbeat,

@@ -1,4 +1,4 @@
-"""A calibration board held before a camera with a known lens: what `follow calibrate` is tested with."""
+"""A calibration board held in front of a camera with a known lens, for tests of `follow calibrate`."""
 
 import math
 from collections.abc import Iterator
@@ -21,7 +21,7 @@ INDOORS = Optics(noise=2.0, shutter_s=1 / 100)
 
 @dataclass(frozen=True, slots=True)
 class BoardPose:
-    """The board before the camera: (3, 3) rotation from board to camera axes, (3,) place of its middle, metres."""
+    """The board's pose: (3, 3) rotation from board to camera axes, (3,) position of its middle, metres."""
 
     rotation: Array
     middle_m: Array
@@ -82,9 +82,10 @@ def texture(board: Board) -> tuple[NDArray[np.uint8], Array]:
 def held(
     board: Board, lens: Intrinsics, count: int, seed: int = 0, tilt_rad: float = math.radians(35.0), part: float = 0.45
 ) -> Iterator[BoardPose]:
-    """Poses as of somebody who shows the board everywhere in the image, near and far, tilted to all sides.
+    """Poses of a board that somebody shows everywhere in the image, near and far, tilted to all sides.
 
-    `part` is about the part of the image's width that the board takes at its nearest.  A checkerboard is kept whole.
+    `part` is about the part of the image's width that the board fills at its nearest.  A checkerboard stays completely
+    in the image.
     """
     random = np.random.default_rng([seed, 11])
     spots = [(x, y) for y in (0.15, 0.5, 0.85) for x in (0.12, 0.37, 0.63, 0.88)]

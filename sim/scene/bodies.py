@@ -133,7 +133,7 @@ def person(f: Frame3, look: Look, phase: float, swing: float, lean: float) -> li
     parts.append(f.limb(torso[0], torso[1], 0.17, 0.185, shade(look.upper, 0.8)))
     parts.append(f.limb(torso[1], torso[2], 0.185, 0.19, look.upper))
     parts.append(f.limb((ahead, -0.16, shoulder), (ahead, 0.16, shoulder), 0.09, 0.09, shade(look.upper, 1.15)))
-    # A small pack on the back: what the camera sees from behind and not from the front.
+    # A small pack on the back, so that back and front look different.
     parts.append(f.limb((-0.17, 0.0, 1.12), (ahead - 0.19, 0.0, 1.36), 0.11, 0.11, look.mark))
     for side, sign in ((-1.0, -1.0), (1.0, 1.0)):
         arm = swing * 0.9 * math.sin(phase) * sign

@@ -29,7 +29,7 @@ class View:
     position: Array
 
     def project(self, points: Array) -> tuple[Array, Array]:
-        """(N, 2) pixels of an ideal pinhole and (N,) depths; what lies behind has no meaning but its depth."""
+        """(N, 2) pixels of an ideal pinhole and (N,) depths; the pixels of points behind the camera are meaningless."""
         seen = (points - self.position) @ self.rotation
         depth = seen[:, 2]
         safe = np.maximum(depth, 1e-3)[:, None]
@@ -110,7 +110,7 @@ def outlined_parts(view: View, mesh: Mesh, points: Array | None = None) -> tuple
 
 
 def cut_near(view: View, corners: Array) -> Array:
-    """(M, 2) pixels of what lies beyond NEAR_M of a flat convex face (N, 3) NED; none if it is turned away."""
+    """(M, 2) pixels of the part beyond NEAR_M of a flat convex face (N, 3) NED; empty if it is turned away."""
     seen = (corners - view.position) @ view.rotation
     if np.linalg.det(seen[:3]) <= 0:  # the sign of its turn in the image, which needs no projection
         return np.empty((0, 2))
@@ -131,7 +131,7 @@ def fixed(points: Array) -> NDArray[np.int32]:
 
 
 def outlined(distance_m: float, polygons: list[Polygon]) -> Drawn | None:
-    """What is filled by these polygons."""
+    """The thing that these polygons draw; None without polygons."""
     if not polygons:
         return None
     points = np.concatenate([p for p, _ in polygons]) / float(1 << FRACTION) + 0.5

@@ -20,7 +20,7 @@ DETAIL_SIZE = 512  # texels after which it repeats: 12.8 m
 DETAIL_TIMES = 4
 LEVELS = 6
 FAR_LEVELS = 2  # the coarsest: laid out many times, because OpenCV is slow where a texture has to wrap
-FAR_TIMES = 9  # times; odd, so that the middle one is where the ground is
+FAR_TIMES = 9  # copies along each side; odd, so that the middle one lies on the ground itself
 SHADE = 0.55  # light in shadow over light in the sun, a clear day
 
 FIELDS: tuple[Colour, ...] = (

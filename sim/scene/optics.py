@@ -1,4 +1,4 @@
-"""What lens, sensor and encoder do to an image: distortion, motion blur, exposure, noise, compression."""
+"""Faults of lens, sensor and encoder: distortion, motion blur, exposure, noise, compression."""
 
 import math
 from dataclasses import dataclass, replace
@@ -42,7 +42,7 @@ class Lens:
         across, down = (columns.ravel() - camera.cx) / camera.fx, (rows.ravel() - camera.cy) / camera.fy
         seen = np.stack([across, down], axis=1).astype(np.float64)
         flat = undistort(camera, seen) * (camera.fx, camera.fy) + (camera.cx, camera.cy)
-        # The ideal image reaches as far as the lens looks; a row more for the interpolation.
+        # The ideal image must cover the whole view of the lens, and a row more for the interpolation.
         beyond = np.maximum(-flat.min(axis=0), flat.max(axis=0) - (camera.width, camera.height))
         x, y = np.ceil(np.maximum(beyond, 0) + 1).astype(int).tolist()
         self.ideal = replace(
@@ -58,7 +58,7 @@ class Lens:
         self._from_y = (flat[:, 1] + y - 0.5).reshape(rows.shape).astype(np.float32)
 
     def bend(self, image: Image) -> Image:
-        """The image as the lens gives it: BGR from BGRA."""
+        """The image distorted by the lens; BGR from BGRA."""
         bent = cv2.remap(image, self._from_x, self._from_y, cv2.INTER_LINEAR) if self.bent else image
         return np.asarray(cv2.cvtColor(bent, cv2.COLOR_BGRA2BGR), np.uint8)
 
@@ -82,7 +82,7 @@ class Sensor:
         self.optics, self.light = optics, light * optics.light
         self._seed = seed
         sample = np.random.default_rng([seed, 5]).normal(0.0, max(optics.noise, 1e-6), (*NOISE_SIZE, 3))
-        # Two tiles because pixels have no sign: what noise adds, and what it takes away.
+        # Two tiles because pixels are unsigned: the positive and the negative part of the noise.
         self._more, self._less = (np.clip(np.rint(part), 0, 255).astype(np.uint8) for part in (sample, -sample))
 
     def expose(self, image: Image, smear: tuple[float, float], t_s: float, index: int) -> Image:

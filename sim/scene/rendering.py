@@ -36,7 +36,7 @@ TRUNK: Colour = (48, 62, 78)
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """What is true of one actor in one image: its whole box and which part of it shows (0..1)."""
+    """The ground truth of one actor in one image: its whole box and its visible fraction (0..1)."""
 
     box: Box | None
     visible: float
@@ -62,7 +62,7 @@ class Scene:
         self.crowns[:, 2] += self.feet[:, 2]
 
     def draw(self, view: View, t_s: float) -> tuple[Image, tuple[Seen, ...]]:
-        """The image without the faults of lens and sensor, and what is true of each actor.
+        """The image without the faults of lens and sensor, and the ground truth of each actor.
 
         It is BGRA with the last channel unused: OpenCV warps four channels three times faster than three.
         """
@@ -163,7 +163,7 @@ class Scene:
     def _seen(self, actor: Drawn | None, things: list[Drawn], *, hidden: bool) -> Seen:
         """The box of all that was drawn of an actor, and the fraction of its silhouette that shows."""
         if actor is None or actor.low[0] == actor.high[0] or actor.low[1] == actor.high[1]:
-            return Seen(None, 0.0)  # also one of which a line is left at the near plane
+            return Seen(None, 0.0)  # also an actor that the near plane cuts down to a line
         box = Box(actor.low[0], actor.low[1], actor.high[0] - actor.low[0], actor.high[1] - actor.low[1])
         before = [d for d in things if d.distance_m < actor.distance_m and overlap(d, actor)]
         c = self.camera

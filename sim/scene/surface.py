@@ -16,7 +16,7 @@ FAR_GROUND_M = 700.0  # beyond it the ground is haze
 HAZE: Colour = (214, 206, 196)
 SKY: Colour = (232, 205, 170)
 SKY_DOWN = -0.01  # rays that point less far down than this end in the sky, not in the haze
-LEAST_HEIGHT_M = 0.2  # over the ground; a lens in its plane would see a line
+LEAST_HEIGHT_M = 0.2  # of the lens above the ground; from height 0 the ground would project to a line
 
 Corners = list[tuple[float, float]]
 
@@ -47,7 +47,7 @@ class Surface:
         return image
 
     def _hills(self, view: View) -> Image:
-        """Sky and haze, and before them the planes, from far to near: along a ray the distance only grows."""
+        """Sky and haze, then the planes drawn over them from far to near."""
         c = self.camera
         image = np.full((c.height, c.width, 4), (*HAZE, 0), np.uint8)
         self._cover_above(image, view, SKY_DOWN, SKY)
@@ -58,7 +58,7 @@ class Surface:
         }
         for facet in sorted(self.facets, key=lambda f: -away[f]):
             if self._height(view, facet) < LEAST_HEIGHT_M and away[facet] > 0.0:
-                continue  # seen from below: nearer ground hides it
+                continue  # the camera is below this plane: nearer ground hides it
             corners = np.rint((np.array(self._outline(view, facet)).reshape(-1, 2) - 0.5) * 16).astype(np.int32)
             if len(corners) < 3:
                 continue
@@ -113,7 +113,7 @@ class Surface:
         starts = [first, *(np.flatnonzero(np.diff(levels[first:last])) + 1 + first).tolist(), last]
         for start, end in itertools.pairwise(starts if first < last else []):
             self._warp(image, to_ground, start, end, int(levels[start]))
-        # Fade the grain in, so that no line shows where it begins.
+        # Fade the grain in, so that its edge is not visible.
         strength = np.clip(0.5 * (0.9 - cells), 0.0, 0.35) * (down > 0)
         fine = np.flatnonzero(strength[first:last]) + first
         if len(fine):
@@ -122,7 +122,7 @@ class Surface:
     def _warp(self, image: Image, to_ground: Array, start: int, end: int, level: int) -> None:
         g = self.texture
         texture, cell_m = g.levels[level], CELL_M * 2**level
-        before_m = (len(texture) * cell_m - g.size_m) / 2  # by how much it begins earlier than the finest
+        before_m = (len(texture) * cell_m - g.size_m) / 2  # by how much its origin lies before that of the finest
         matrix = texels(cell_m, g.north_m - before_m, g.east_m - before_m) @ to_ground @ below(start)
         size, flags = (self.camera.width, end - start), cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         cv2.warpPerspective(texture, matrix, size, image[start:end], flags, cv2.BORDER_WRAP)

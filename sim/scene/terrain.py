@@ -1,7 +1,7 @@
 """How high the ground is: level, or a slope in one direction that begins and ends gently.
 
 The height is piecewise linear along one heading and constant across it, so the ground consists of plane strips
-(facets): each is drawn by its own homography, and what is drawn is exactly the height that the truth knows.
+(facets): each is drawn by its own homography, so that the drawn height is exactly that of the ground truth.
 """
 
 import itertools
@@ -103,7 +103,7 @@ LEVEL = Terrain()
 def slope(grade: float, start_m: float, length_m: float, blend_m: float = 12.0, heading_rad: float = 0.0) -> Terrain:
     """Ground that begins to rise (grade > 0) or fall at `start_m` along the heading, and is level `length_m` later.
 
-    The grade grows linearly over the first `blend_m` and shrinks over the last, so that nobody meets an edge.
+    The grade grows linearly over the first `blend_m` and shrinks over the last, so that the slope has no sharp edge.
     Raises ValueError unless two blends fit into the length.
     """
     if not 0.0 < 2.0 * blend_m <= length_m:

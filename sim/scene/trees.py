@@ -74,7 +74,7 @@ def crown(random: np.random.Generator) -> Sprite:
     base = np.array([45, 88, 66]) * random.uniform(0.8, 1.25, 3)
     clusters = random.normal(0, 0.42, (170, 2))
     clusters = clusters[np.hypot(clusters[:, 0], clusters[:, 1]) < 0.82]
-    for x, y in clusters[np.argsort(-clusters[:, 1])]:  # low ones first, the lit top over them
+    for x, y in clusters[np.argsort(-clusters[:, 1])]:  # low clusters first, the lit top drawn over them
         light = 0.78 - 0.38 * y - 0.1 * x + random.uniform(-0.14, 0.14)
         b, g, r = np.clip(base * light * 1.25, 0, 255).tolist()
         centre = round(SIZE / 2 + REACH * SIZE * x), round(SIZE / 2 + REACH * SIZE * y)

@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 Colour = tuple[int, int, int]  # BGR, as OpenCV has it
 
 ROUTE_STEP_S = 0.02
-ROUTE_MARGIN_S = 5.0  # a route goes on after a scenario's end, for cameras that still run
+ROUTE_MARGIN_S = 5.0  # a route continues after the scenario's end, for a camera that still delivers late frames
 
 
 class Kind(str, Enum):
@@ -194,7 +194,7 @@ class Sun:
         return level * math.cos(self.azimuth_rad), level * math.sin(self.azimuth_rad), -math.sin(self.elevation_rad)
 
     def shadow(self) -> tuple[float, float]:
-        """(north, east) that a shadow extends per metre of height."""
+        """(north, east) length of a shadow per metre of height."""
         length = 1.0 / math.tan(self.elevation_rad)
         return -length * math.cos(self.azimuth_rad), -length * math.sin(self.azimuth_rad)
 
@@ -211,7 +211,7 @@ class World:
     sun: Sun = Sun()
     seed: int = 0
     keep_clear_m: float = 14.0
-    ground_texels: int = 2048  # side of the ground's texture, a multiple of 1024; 256 m, then it repeats
+    ground_texels: int = 2048  # side of the ground's texture, a multiple of 1024; 2048 are 256 m, then it repeats
 
     def target(self, t_s: float) -> ActorPose:
         """Where the target is."""
@@ -255,7 +255,7 @@ def wall(
 
 
 def scatter(world: World, extent_m: float, buildings: int, trees: int) -> World:
-    """The world with buildings and trees set around, clear of roads and of every actor's path; by the world's seed."""
+    """The world with buildings and trees at random (by its seed), clear of roads and of every actor's path."""
     random = np.random.default_rng([world.seed, 1])
     lines = [actor.route.table[::50, :2] for actor in world.actors]
     lines += [dense(road.points) for road in world.roads]
@@ -269,7 +269,7 @@ def scatter(world: World, extent_m: float, buildings: int, trees: int) -> World:
             break
         north, east = centre + random.uniform(-extent_m, extent_m, 2)
         length, width = random.uniform(9, 20), random.uniform(8, 13)
-        # A building hides the target from a camera that looks across it, so it is built well off the path.
+        # A building near the path would hide the target from a camera behind it, so it keeps its length more distance.
         if clear(paths, north, east) < world.keep_clear_m + length or any(
             math.hypot(north - b.north_m, east - b.east_m) < 30 for b in blocks
         ):

@@ -1,4 +1,4 @@
-"""Worlds by seed: who goes where, past what.  Every path starts at the origin, northward."""
+"""Worlds by seed: the actors' paths and what is beside them.  Every path starts at the origin, northward."""
 
 import math
 from dataclasses import replace
@@ -82,7 +82,7 @@ def path(points: list[tuple[float, float]], width_m: float = 2.4) -> Road:
 
 
 def furnished(random: Generator, world: World, extent_m: float = 90.0, trees: int = 70, buildings: int = 7) -> World:
-    """With a road somewhere beside, trees and buildings around."""
+    """The world with a road beside the path, trees and buildings."""
     side, turn = float(random.choice([-1.0, 1.0])) * random.uniform(14, 22), random.uniform(-0.15, 0.15)
     middle = np.array([0.0, side])
     along = np.array([math.cos(turn), math.sin(turn)])
@@ -96,7 +96,7 @@ def furnished(random: Generator, world: World, extent_m: float = 90.0, trees: in
 
 
 def footpath(random: Generator, kind: Kind, duration_s: float) -> World:
-    """One actor on a winding path; who is faster than a walker is at speed already."""
+    """One actor on a winding path; a kind faster than a walker is at its speed from the start."""
     return on_path(random, kind, duration_s, rolling=kind is not Kind.WALKER)
 
 
@@ -227,13 +227,13 @@ def hillside(random: Generator, kind: Kind, duration_s: float, *, grade: float, 
 
 
 def straight_at(random: Generator, kind: Kind, duration_s: float, *, speed_m_s: float) -> World:
-    """The actor waits for 6 s and then comes straight at the drone and on below it."""
+    """The actor waits for 6 s, then comes straight at the drone and passes below it."""
     legs = Leg(0, 0, speed_m_s, pause_s=6.0), Leg(speed_m_s * duration_s, 0, speed_m_s)
     return furnished(random, going(legs, random, kind, duration_s))
 
 
 def straight_back(random: Generator, kind: Kind, duration_s: float, *, speed_m_s: float) -> World:
-    """Away for 8 s, then on its heel and back along its own line, where the drone is."""
+    """The actor runs away for 8 s, turns about and comes back along its own line, toward the drone."""
     far = 8.0 * speed_m_s
     legs = Leg(0, 0, speed_m_s), Leg(far, 0, speed_m_s), Leg(far - 5, 0, speed_m_s), Leg(-9 * far, 0, speed_m_s)
     return furnished(random, going(legs, random, kind, duration_s))
@@ -244,7 +244,7 @@ def through_door(random: Generator, kind: Kind, duration_s: float, *, speed_m_s:
 
     The house is block 0, its wall 8 s ahead; block 1 is the door.
     """
-    wall_m, stop_m = 8.0 * speed_m_s, 1.0 + speed_m_s**2 / GAITS[kind].accel_m_s2  # it slows down behind the door only
+    wall_m, stop_m = 8.0 * speed_m_s, 1.0 + speed_m_s**2 / GAITS[kind].accel_m_s2  # it brakes only behind the door
     length = 2.0 * (stop_m + 1.0)
     house = Block(
         wall_m + length / 2, 0.0, length, 2.0 * length, 5.0, 0.0, (130, 150, 170), (60, 70, 140), windows=True
