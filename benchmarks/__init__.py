@@ -1,1 +1,1 @@
-"""Speed, measured."""
+"""Benchmarks of speed, memory and loss."""

@@ -25,7 +25,7 @@ MOST_GROWTH_MB = 50.0
 
 
 def memory_mb() -> float:
-    """The memory that this process has in RAM (Linux)."""
+    """The resident memory of this process (Linux)."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * 4096 / 1e6
 
@@ -35,7 +35,10 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=30.0)
     options = parser.parse_args()
     clip = list(scene("walker", (640, 360), 10.0))
-    there_and_back = [*clip, *reversed(clip)]  # no cut that would cost the encoder a key frame
+    there_and_back = [
+        *clip,
+        *reversed(clip),
+    ]  # without a jump between repetitions, which would cost the encoder a key frame
     used: list[float] = []
     with tempfile.TemporaryDirectory() as folder:
         began_s = time.monotonic()

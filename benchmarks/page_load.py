@@ -1,4 +1,4 @@
-"""Windows that load the operator's page: watchers that show every image, one that never does, and a flood of clicks.
+"""Load on the operator's page: windows that confirm every image, one that never does, and a flood of clicks.
 
     python -m benchmarks.page_load 127.0.0.1:8080 --watchers 10 --clicks 1000 --seconds 60
 
@@ -27,7 +27,7 @@ def opened(host: str, key: int) -> Iterator[ClientConnection]:
 
 
 def watch(host: str, key: int, end_s: float, counts: list[int], *, shows: bool) -> None:
-    """Take what comes; with `shows` each image is answered, as the page does."""
+    """Receive all messages; with `shows` confirm each image, as the page does."""
     with contextlib.suppress(ConnectionClosed), opened(host, key) as window:
         while time.monotonic() < end_s:
             try:

@@ -1,9 +1,9 @@
-"""What recording costs a tick: median and p99 with and without it, alternating in one run.
+"""The cost of recording for a tick: median and p99 with and without it, alternating in one run.
 
     python -m benchmarks.recording_cost [--seconds 60] [--encoder jpeg]
 
 Tracks a drawn walker at 30 frames/s as a camera would give it.  For three seconds each round is recorded, for the next
-three none is, and so on: what else this machine does falls on both.  A tick is tracker, estimate, servo and gate, and
+three none is, and so on, so that other load affects both.  A tick is tracker, estimate, servo and gate, and
 the recorder's part in the loop; the recorder's threads compete with it for the cores.
 """
 

@@ -1,4 +1,4 @@
-"""What a recording takes: MB a minute, PSNR inside the target's box, and the recorder's cost in the loop.
+"""Size and quality of a recording: MB a minute, PSNR inside the target's box, and the recorder's cost in the loop.
 
     python -m benchmarks.recording_size [--seconds 20] [--sequence FOLDER ...] [--encoder jpeg]
 
@@ -106,7 +106,7 @@ def inside(image: NDArray[np.uint8], box: Box) -> NDArray[np.uint8]:
 
 
 def measure(name: str, clip: Clip, size: tuple[int, int], encoder: Encoder) -> bool:
-    """Record one clip, print its line, and say whether it keeps to the bars."""
+    """Record one clip and print its line; returns whether it stays within the bounds."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder)
         count, took_ms, kept = record(clip, out, encoder)

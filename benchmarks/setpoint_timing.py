@@ -1,23 +1,23 @@
-"""When setpoints arrive: `follow run` at 30 frames/s, recording, against `python -m sim.autopilot` over UDP.
+"""Timing of setpoints: `follow run` at 30 frames/s, recording, against `python -m sim.autopilot` over UDP.
 
     python -m benchmarks.setpoint_timing --seconds 60 [--autopilot ardupilot] [--let-cores-sleep] [--disk-stall 5]
     python -m benchmarks.setpoint_timing --watchers 10 --clicks 1000 --ground --ground-clicks 1000
 
 A relay between the two notes when each setpoint passes.  Prints the intervals and the time from a frame to its
-setpoint; exits 1 when their p99 is above 60 ms, one is above 150 ms, or following ended early.  It also prints how much
-of this machine's time its host gave to others, and the intervals during which it gave none: on a shared machine that
-decides.
-The cores are kept awake by processes of the lowest priority, for a virtual machine that sleeps is woken late; a real
-one has its governor at performance (docs/service).
+setpoint; exits 1 when their p99 is above 60 ms, one is above 150 ms, or following ended early.  It also prints the
+steal time (processor time that the host of this virtual machine took away) and the intervals without any: on a shared
+machine it dominates.
+Processes of the lowest priority keep the cores awake, because the host wakes an idle virtual machine late; a real
+machine has its governor at performance (docs/service).
 
 With `--watchers` and `--clicks` the operator's page is on, and another process loads it (`benchmarks.page_load`).
 With `--ground` a ground station finds the camera, draws its box again every 5 s and gets the video; `--ground-clicks` a
 second come from another one.
 With `--detector model.onnx` a network looks at the frames in a process of its own.
-With `--disk-stall SECONDS` the recording goes to a file system of its own that is frozen for that time again and again:
-every write to it waits (needs root, mkfs.ext4 and fsfreeze).  Between two stalls it is left alone for as long, one
-second to catch up apart, which counts to the stall.  What else this machine does falls on both, so the stalls are
-judged against the time between them: exits 1 when more of their intervals are above 150 ms than of the others.
+With `--disk-stall SECONDS` the recording goes to a file system of its own that is frozen for that time repeatedly:
+every write to it waits (needs root, mkfs.ext4 and fsfreeze).  Two stalls are as far apart as one is long, plus a second
+to catch up, which counts as part of the stall.  Other load on this machine affects both, so the stalls are compared
+with the time between them: exits 1 when more of their intervals are above 150 ms than of the others.
 """
 
 import argparse
@@ -50,12 +50,12 @@ from tests.support.real_flight import free_ports, real_flight  # noqa: E402
 
 P99_MS, LARGEST_MS = 60.0, 150.0
 STALLS = 4
-CATCH_UP_S = 1.0  # after a stall, when all that waited is written at once
-ENDED_S = 1.0  # without a setpoint at the end: it no longer follows, and the figures are of a part only
-WATCH_S = 0.01  # as fine as the system counts its host's time
+CATCH_UP_S = 1.0  # after a stall, when everything queued is written at once
+ENDED_S = 1.0  # without a setpoint at the end: following ended early, and the figures cover only a part
+WATCH_S = 0.01  # the resolution of the system's steal time
 
 Readings = list[tuple[float, int]]
-"""When, and what the host had taken by then, in the system's ticks of all cores."""
+"""A time, and the steal time until then, in the system's ticks over all cores."""
 
 
 def frame_to_setpoint_ms(rows: list[dict[str, str]], times: list[float]) -> list[float]:
@@ -153,7 +153,7 @@ def judge_stalls(times: list[float], stalls: list[tuple[float, float]]) -> bool:
 
 
 def undisturbed(times: list[float], readings: Readings) -> NDArray[np.bool_]:
-    """Of each interval between `times`, whether the host took nothing from two readings before it to two after it."""
+    """For each interval between `times`, whether there was no steal time from two readings before to two after it."""
     when, taken = np.array([t for t, _ in readings]), np.array([ticks for _, ticks in readings])
     place = np.searchsorted(when, times)
     last = len(readings) - 1

@@ -1,10 +1,10 @@
-"""What lost packets do to the video to the ground station, by the packets themselves: no clock, so any machine will do.
+"""Effect of lost packets on the video to the ground station.  It works on the packets without a clock, on any machine.
 
     python -m benchmarks.video_loss [--loss 0.1] [--key-s 0.1 0.25] [--rate-bit-s 2000000] [--seconds 20]
 
 A drawn scene with a number in each image is coded as `follow` sends it; of its RTP packets a part is lost at random.
-FFmpeg's decoder, fed frame by frame, and GStreamer's elements of QGroundControl (depayloader, parser, decoder) show
-what is left.  An image is whole if it shows its number and each of its 64 tiles has WHOLE_DB; a spoilt stretch is the
+FFmpeg's decoder, fed frame by frame, and GStreamer's elements of QGroundControl (depayloader, parser, decoder) decode
+the rest.  An image is whole if it shows its number and each of its 64 tiles has WHOLE_DB; a spoilt stretch is the
 time of the frames between two whole ones.  Exits 1 if 5 % of the stretches last longer than a second.
 """
 
@@ -116,7 +116,7 @@ def stretches_s(whole: set[int], count: int) -> list[float]:
 
 
 def arrived(packets: Sequence[bytes], loss: float, seed: int) -> list[bytes]:
-    """The packets that do not get lost."""
+    """The packets that are not lost."""
     dice = random.Random(seed)
     return [packet for packet in packets if dice.random() >= loss]
 

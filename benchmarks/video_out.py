@@ -1,4 +1,4 @@
-"""The video to the ground station as it arrives: rate, delay glass to glass, CPU, and what 10 % of lost packets do.
+"""The video to the ground station as received: rate, glass-to-glass delay, CPU, and the effect of 10 % packet loss.
 
     python -m benchmarks.video_out [--seconds 10] [--size 640x360 1280x720] [--viewer libav gstreamer gstreamer-fast]
 
@@ -9,8 +9,8 @@ refresh of a screen come on top.  Three phases: nothing lost, 10 % of the packet
 losses with a clean time after each.
 
 An image is whole if each of its 64 tiles is (WHOLE_DB).  A spoilt stretch is the time from one whole image to the next
-where at least one between them was spoilt or never shown.  A burst is over, for a person, with the first of IN_A_ROW
-whole images in a row; counted from the burst's end, the stream's delay taken off.
+where at least one between them was spoilt or never shown.  Recovery from a burst ends with the first of IN_A_ROW whole
+images in a row; it is counted from the burst's end, less the stream's delay.
 
 The viewers: `libav` is FFmpeg's RTP receiver by PyAV; `gstreamer` the pipeline of QGroundControl (its caps, its jitter
 buffer of 200 ms, in step with the stream's clock), `gstreamer-fast` the same in its low-latency mode; both need
@@ -82,7 +82,7 @@ def with_clock(image: NDArray[np.uint8], n: int) -> NDArray[np.uint8]:
 
 
 def number_in(grey: NDArray[np.uint8]) -> int:
-    """The number that the brightness of an image shows, -1 if its two strips do not agree: one of them got lost."""
+    """The number that the brightness of an image shows; -1 if its two strips disagree, because one was lost."""
     rows, columns = grey.shape[0] // 12, grey.shape[1] // BITS
     found: list[NDArray[np.bool_]] = []
     for strip in (grey[:rows], grey[-rows:]):
@@ -138,7 +138,7 @@ def view(viewer: str, port: int, clip: Path) -> None:
 
 
 class Lossy:
-    """Passes datagrams on from `port` to `to`, of which `loss` get lost."""
+    """Forwards datagrams from `port` to `to` and drops the fraction `loss`."""
 
     def __init__(self, to: int) -> None:
         self.loss = 0.0
@@ -160,7 +160,7 @@ class Lossy:
 
 
 def free_port() -> int:
-    """An even port that nobody listens at."""
+    """An unused even port."""
     while True:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             probe.bind(("127.0.0.1", 0))
@@ -171,7 +171,7 @@ def free_port() -> int:
 def run(
     viewer: str, clip: list[NDArray[np.uint8]], file: Path, seconds: float, config: VideoConfig
 ) -> dict[str, object]:
-    """Send the clip to one viewer in three phases; what it saw."""
+    """Send the clip to one viewer in three phases; returns what the viewer decoded."""
     port = free_port()
     air = Lossy(port)
     command = [sys.executable, "-m", "benchmarks.video_out", "--view", viewer, str(port), str(file)]
@@ -229,9 +229,9 @@ def thread_cpu_s(video: VideoOut) -> float:
 def figures(
     shown: list[Shown], drawn_s: dict[int, float], phases: tuple[tuple[int, float], ...], ends: list[float]
 ) -> dict[str, object]:
-    """What the viewer saw; the phases begin with a number at a time, the bursts end at `ends`."""
+    """The figures of what the viewer decoded; each phase begins with a number at a time, bursts end at `ends`."""
     clean, lossy, again = phases
-    # An image whose number cannot be read is a spoilt one.
+    # An image whose number cannot be read counts as spoilt.
     known = [(n, at, db) for n, at, db in shown if n < 0 or (n in drawn_s and 0.0 < at - drawn_s[n] < 3.0)]
     delays = [at - drawn_s[n] for n, at, _ in known if clean[0] <= n < lossy[0]]
     delay_s = float(np.median(delays))

@@ -50,7 +50,7 @@ class WanderingSquare:
         return self
 
     def __exit__(self, *_error: object) -> None:
-        """Nothing is open here; a real camera lets its device go."""
+        """Nothing to close here; a real camera closes its device."""
 
 
 def main(seconds: float = 4.0) -> list[float]:

@@ -1,4 +1,4 @@
-"""Your own vehicle behind the loop: a class that tells its state and takes setpoints, here a point that obeys at once.
+"""Your own vehicle in the loop: a class that reports its state and takes setpoints, here a point without inertia.
 
     python examples/own_link.py
 
@@ -32,10 +32,10 @@ class PointMass:
         self.setpoint = HOVER
 
     def state(self) -> VehicleState:
-        """What telemetry would tell now; each group carries the time at which it was measured.
+        """The state as telemetry would report it now; each group has the time at which it was measured.
 
-        `in_control`, `armed` and `landed` must be the vehicle's own word: FOLLOW is refused on the ground, and where it
-        is not known whether the vehicle flies.
+        `in_control`, `armed` and `landed` must be reported by the vehicle itself: FOLLOW is refused on the ground, and
+        while it is not known whether the vehicle flies.
         """
         m = self.motion
         groups = ("t_s", "attitude_t_s", "position_t_s", "heartbeat_t_s", "landed_t_s")
@@ -47,7 +47,7 @@ class PointMass:
         return VehicleState(**fresh, **position, **velocity, **attitude, **flies)
 
     def send(self, setpoint: Setpoint | None) -> None:
-        """Take the gate's setpoint; None means that nothing is sent, and a real autopilot's failsafe acts."""
+        """Take the gate's setpoint; None sends nothing, so that a real autopilot's failsafe acts."""
         self.setpoint = setpoint or HOVER
 
     def advance(self, dt_s: float) -> VehicleTruth:
@@ -69,7 +69,7 @@ class PointMass:
         return self
 
     def __exit__(self, *_error: object) -> None:
-        """Leaving always ends in a hover."""
+        """The vehicle hovers at the end, whatever the reason."""
         self.send(HOVER)
 
 

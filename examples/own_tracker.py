@@ -2,8 +2,8 @@
 
     python examples/own_tracker.py
 
-In a benchmark a tracker's errors cost points.  In the loop they turn the vehicle, and with it the next image.
-The boxes are judged as a benchmark's are: by the distance of the centres and the overlap with the true boxes.
+In a benchmark a tracker's errors only lower its score; in the loop they also turn the vehicle and so change the next
+image.  The boxes are scored as in a benchmark: by the distance of the centres and the overlap with the true boxes.
 """
 
 from dataclasses import replace

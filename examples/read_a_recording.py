@@ -70,7 +70,7 @@ def packets(folder: Path) -> Iterator[tuple[float, bool, bytes]]:
 
 
 def main(folder: Path) -> None:
-    """Print what a flight came to."""
+    """Print a summary of a flight."""
     ticks = columns(folder)
     if not ticks:
         sys.exit(f"{folder} holds a recording without a round")

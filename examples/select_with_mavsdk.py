@@ -5,9 +5,9 @@
 
 The second argument is a point, x,y, or a box, left,top,right,bottom, in fractions of the image from its top left; the
 simulated walker is in the middle for the first seconds (`--page 127.0.0.1:8080` beside `--ground` shows the image).
-Behind the autopilot (`--ground link`) connect as to the autopilot itself.  MAVSDK's Camera chooses and stops, but tells
-neither the tracking status nor why a choice is refused: both are read as MAVLink messages.  Nothing here signs, so that
-a direct `follow run` takes its choice with `--ground-unsigned` only.
+Behind the autopilot (`--ground link`) connect as to the autopilot itself.  MAVSDK's Camera can select and stop, but
+reports neither the tracking status nor why a selection is refused: both are read as MAVLink messages.  The example does
+not sign its packets, so that a direct `follow run` accepts its selection only with `--ground-unsigned`.
 """
 
 import json
@@ -21,7 +21,7 @@ from mavsdk.plugins.camera.camera import Camera, CameraError
 from mavsdk.plugins.mavlink_direct import MavlinkDirect
 
 FOUND_S = 20.0
-ACTIVE = 1  # of CAMERA_TRACKING_STATUS_FLAGS: also while the target is out of sight for a moment, its box predicted
+ACTIVE = 1  # of CAMERA_TRACKING_STATUS_FLAGS: also while the target is hidden for a moment and its box is predicted
 CORNERS = ("rec_top_x", "rec_top_y", "rec_bottom_x", "rec_bottom_y")
 
 
@@ -37,7 +37,7 @@ def find(mavsdk: Mavsdk, told: SimpleQueue[Any]) -> tuple[Camera, int]:
         direct.subscribe_message(name, lambda message, _: told.put(message))
     camera.subscribe_camera_list(lambda found, _: listed.put(found.cameras))
     while not (ours := [one for one in listed.get(timeout=FOUND_S) if one.model_name == "RACF"]):
-        pass  # the vehicle's other cameras came first
+        pass  # skip the vehicle's other cameras
     return camera, ours[0].component_id
 
 
@@ -47,7 +47,7 @@ def show(told: SimpleQueue[Any], seconds: float) -> int:
     while (left_s := end_s - time.monotonic()) > 0:
         try:
             message = told.get(timeout=left_s)
-        except Empty:  # nothing is told while nothing is tracked
+        except Empty:  # the camera sends no status while nothing is tracked
             break
         fields = json.loads(message.fields_json)
         if "text" in fields:

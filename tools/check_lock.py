@@ -1,7 +1,7 @@
-"""Fail when requirements.lock no longer answers to pyproject.toml (run by `make check`).
+"""Fail when requirements.lock no longer satisfies pyproject.toml (run by `make check`).
 
-Resolving needs the package index, so this reads only what the two files say: every requirement of the project and of
-its development extra must be met by a version in the lock.
+Resolving would need the package index, so this only compares the two files: a version in the lock must meet every
+requirement of the project and of its development extra.
 """
 
 import re

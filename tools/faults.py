@@ -3,7 +3,7 @@
     python -m tools.faults [--only TEXT] [--no-processes]
 
 The rows in lockstep fly on a virtual clock; the others run `follow run` as a process over UDP in real time.  A process
-row that is late because the host gave its processors to others is flown again; standard error names it.
+row that is late because the host took processor time away (steal time) is flown again; standard error names it.
 """
 
 import argparse
@@ -21,7 +21,7 @@ from tests.support.fault_matrix import LOCKSTEP_ROWS  # noqa: E402
 from tests.support.fault_processes import PROCESS_ROWS, ProcessRow  # noqa: E402
 from tests.support.machine import STOLEN, LateError, awake, processor_ticks, stolen  # noqa: E402
 
-ATTEMPTS = 6  # at a flight that the host made late
+ATTEMPTS = 6  # at most, for a flight that was late because of steal time
 
 ABOUT = """# What happens when something fails
 
@@ -43,7 +43,7 @@ addressed to itself. Our clock is the monotonic one, which no operating system s
 
 
 def rows(only: str, processes: bool) -> Iterator[tuple[str, tuple[str, ...]]]:
-    """Fly, and yield each line of the table with its failures."""
+    """Fly the rows, and yield each line of the table with its failures."""
     for row in LOCKSTEP_ROWS:
         for autopilot in row.autopilots if only in row.name else ():
             flown = row.fly(autopilot)
@@ -57,7 +57,7 @@ def rows(only: str, processes: bool) -> Iterator[tuple[str, tuple[str, ...]]]:
 
 
 def in_time(row: ProcessRow, rules: str) -> tuple[str, str, tuple[str, ...]]:
-    """Fly a row in real time; fly it again if it was late because the host gave its processors to others."""
+    """Fly a row in real time; fly it again if it was late because the host took processor time away."""
     late = ""
     for _ in range(ATTEMPTS):
         ticks = processor_ticks()

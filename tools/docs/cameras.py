@@ -1,11 +1,11 @@
-"""The table of docs/cameras.md: what each kind of source keeps, over loopback, with real encoders.
+"""The table of docs/cameras.md: rate, delay and time errors of each kind of source, over loopback, with real encoders.
 
     python -m tools.docs.cameras [--seconds 6]
 
-Every frame shows its number, so that rate, delay and time are judged by the image itself.  Delay is from the moment at
-which a frame was due at the encoder to the moment at which the loop would get it; time error is that of the frame's own
-time.  A stream is then broken for 3 s; reconnect is from the moment at which it is back to the next frame.  A program
-is killed, and reconnect is from there to the next frame.
+Every frame shows its number, so that rate, delay and time are measured from the image itself.  Delay is the time from
+when a frame was due at the encoder until the loop would get it; time error is the error of the frame's own time.  A
+stream is then broken for 3 s; reconnect is the time from its return to the next frame.  A program is killed; reconnect
+is the time from then to the next frame.
 """
 
 import argparse
@@ -48,7 +48,7 @@ PROGRAMS = {
 
 
 def file_row(label: str, folder: Path) -> tuple[str, ...]:
-    """Decode a file; kept are the frames with the right number, row and time."""
+    """Decode a file; count the frames with the right number, row and time."""
     name, how = FILES[label]
     stamps_s = how.get("stamps_s", [n / FPS for n in range(COUNT)])
     path = encode(folder / name, map(numbered, range(COUNT)), **how)
@@ -104,7 +104,7 @@ def live_row(
 
 
 def streams(folder: Path, seconds: float) -> list[tuple[str, ...]]:
-    """The rows of what is sent over loopback."""
+    """The rows of streams over loopback."""
     rtsp, http = RtspServer(), MjpegServer()
     senders = {
         "RTSP over TCP, H.264": (rtsp.url, rtsp),

@@ -1,8 +1,8 @@
-"""Write docs/doctor.md: what `follow doctor` says of each simulated firmware, before and after its own commands.
+"""Write docs/doctor.md: the report of `follow doctor` for each simulated firmware, before and after its own commands.
 
     python -m tools.docs.doctor
 
-A test compares the file with what the doctor prints.
+A test compares the file with the output of the doctor.
 """
 
 from pathlib import Path

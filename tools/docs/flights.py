@@ -3,7 +3,7 @@
     follow sim --all --seeds 1 --json --out out/sim > all.json
     python -m tools.docs.flights out/sim
 
-The folder holds a folder for each flight, with its summary.json.  What stands outside the table stays as it is.
+The folder holds a folder for each flight, with its summary.json.  The text outside the table is not changed.
 """
 
 import argparse

@@ -4,7 +4,7 @@
 
 Four flights of `follow run` beside `python -m sim.autopilot` over UDP, in real time: the scripted station in
 QGroundControl's old dialect, directly, and in its new one, behind the autopilot; MAVSDK's own Camera client both ways.
-A flight whose vehicle does not follow, or is not given back, raises; the others' transcripts are kept.
+A flight whose vehicle does not follow, or is not returned to the pilot, raises; the others' transcripts are kept.
 """
 
 import argparse
@@ -33,8 +33,8 @@ FLIGHTS = {
     "MAVSDK, directly, ArduPilot": ("ardupilot", MAVSDK, True),
 }
 TOLD = re.compile(r"selected by|commands|ordered|: (observe|ready|engage|follow|coast|search|hold|brake|ended)\b|mode ")
-SHOWN_S = 0.3  # age of the image in which the person draws, as --ground-delay-s has it
-LOST_S = 2.0  # a flight off its target for longer did not follow it
+SHOWN_S = 0.3  # age of the image in which the box is drawn: the default of --ground-delay-s
+LOST_S = 2.0  # a flight that is off its target for longer counts as failed
 NUMBERS = re.compile(r"-?\d+\.\d+")
 
 Log = list[tuple[float, str]]
@@ -75,7 +75,7 @@ def fly(rules: str, variant: str, direct: bool, seconds: float, out: Path) -> li
 
 
 def shortened(log: Log) -> Iterator[str]:
-    """A line for each message but the camera's later heartbeats; equal ones in a row become one with their number."""
+    """A line for each message except the camera's later heartbeats; repeated messages become one line with a count."""
     beats = [entry for entry in log if "HEARTBEAT" in entry[1]]
     shown = [entry for entry in log if entry not in beats[1:]]
     for _, run in itertools.groupby(shown, key=lambda entry: NUMBERS.sub("", entry[1])):

@@ -28,7 +28,7 @@ from sim.scene.world import World
 
 HEIGHT = 208  # of the drawing, px; the camera's image is 16:9 of it and the map a square
 FPS = 5  # of the drawing: a GIF of 3 MB holds some 80 frames of this size
-COLOURS = 48  # of the scene; those of boxes and text come to them
+COLOURS = 48  # of the scene; the colours of boxes and text are added
 GROUND, TREE, OWN = (225, 232, 222), (120, 170, 110), (220, 120, 40)  # BGR
 
 
@@ -116,7 +116,7 @@ def flight(name: str, begin_s: float, end_s: float) -> Iterator[np.ndarray]:
 
 
 def palette_of(sheet: Pillow.Image) -> Pillow.Image:
-    """One palette for all frames, so that a pixel that does not change costs nothing."""
+    """One palette for all frames, so that a pixel that does not change takes no bytes."""
     scene = sheet.quantize(COLOURS).getpalette() or []
     bright = [*MODE_COLOURS.values(), RED, YELLOW, GROUND[::-1], TREE[::-1], OWN[::-1], (30, 30, 30)]
     palette = Pillow.new("P", (1, 1))

@@ -106,7 +106,7 @@ def drag(page: Any) -> None:
 
 
 def fly(desk: Any, phone: Any, shots: Path) -> None:
-    """The whole walk, with a screenshot at each station."""
+    """The whole test, with a screenshot at each stage."""
     until("the desktop shows images", lambda: shown(desk) > 5)
     until("the phone shows images", lambda: shown(phone) > 5)
     wide = phone.evaluate("document.documentElement.scrollWidth")
@@ -153,7 +153,7 @@ def fly(desk: Any, phone: Any, shots: Path) -> None:
 
 
 def end_the_page(desk: Any, phone: Any, flight: subprocess.Popen[str], shots: Path) -> None:
-    """Follow, and let the page's thread die in the program: the flight must not notice."""
+    """Follow, and make the page's thread raise: the flight must go on."""
     phone.click("#hand-over")
     drag(desk)
     until("the desktop selects again", lambda: desk.inner_text("#reply") == "target selected")

@@ -1,10 +1,10 @@
-"""Draw docs/recording.jpg and docs/recording_moments.jpg: what the viewer first shows, by the viewer, without a screen.
+"""Draw docs/recording.jpg and docs/recording_moments.jpg: screenshots of the viewer's first view, on a virtual screen.
 
     python -m tools.docs.recording [MOMENT ...]     start, steady, lost, found, over; all five if none is named
 
-Flies behind a runner who passes through a door, until a person takes the vehicle back, and draws a recording that ends
-at each moment.  Needs Xvfb and a software Vulkan (Debian: xvfb, mesa-vulkan-drivers).  Frames are recorded as JPEG,
-because the viewer needs `ffmpeg` for H.264.
+Flies behind a runner who passes through a door, until the pilot takes over, and draws a recording that ends at each
+moment.  Needs Xvfb and a software Vulkan (Debian: xvfb, mesa-vulkan-drivers).  Frames are recorded as JPEG, because the
+viewer needs `ffmpeg` for H.264.
 """
 
 import os
@@ -73,7 +73,7 @@ def flown() -> tuple[list[tuple[Tick, Box | None]], Config, float]:
 
 
 def ends(ticks: list[Tick]) -> dict[str, float]:
-    """When each moment is, s."""
+    """The time of each moment, s."""
     modes = [(tick.state.t_s, tick.decision.mode) for tick in ticks]
     lost = next(t_s for t_s, mode in modes if mode is Mode.COAST)
     found = next(t_s for t_s, mode in modes if t_s > lost and mode is Mode.FOLLOW)
@@ -93,11 +93,11 @@ def record(rounds: list[tuple[Tick, Box | None]], config: Config, down_rad: floa
 
 
 def draw(recording: Path, image_path: Path) -> None:
-    """Show the recording's last moment in the viewer and save what it shows."""
+    """Show the recording's last moment in the viewer and save a screenshot."""
     with tempfile.TemporaryDirectory() as folder:
         shot, blueprint = Path(folder) / "shot.png", Path(folder) / "layout.rbl"
         layout(play_state="following").save("follow-me", blueprint)
-        # A virtual screen much larger than the window: its mouse pointer, in the middle, must not touch a plot.
+        # A virtual screen much larger than the window: the mouse pointer in its middle must not be over a plot.
         screen = ["xvfb-run", "-a", "-s", "-screen 0 7000x4400x24"]
         window = ["--window-size", f"{SIZE[0]}x{SIZE[1]}", "--screenshot-to", str(shot)]
         subprocess.run(

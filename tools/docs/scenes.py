@@ -21,7 +21,7 @@ BUDGET_MS = 1000.0 / 30.0 / 5.0  # 5 times faster than 30 frames/s
 
 
 def panel(name: str, seed: int, t_s: float) -> np.ndarray:
-    """What the camera sees from the scenario's start geometry, carried along with the target."""
+    """The camera's image, with the camera placed about the target as at the scenario's start."""
     scenario = SCENARIOS[name]
     camera, _, world = build(scenario, seed, Autopilot.PX4)
     target = world.target(t_s)
@@ -53,7 +53,7 @@ def speed(name: str, seconds: float = 1.0) -> tuple[float, float]:
 
 
 def distinct() -> list[str]:
-    """The scenarios whose images differ, and not only when and whether they come."""
+    """The scenarios whose images differ: those that change only frame rate, latency or drops are left out."""
     scenes = {}
     for name, scenario in SCENARIOS.items():
         scene = replace(scenario, name="", about="", latency_s=0.0, drop_fraction=0.0, frames_per_s=30.0)
@@ -62,7 +62,7 @@ def distinct() -> list[str]:
 
 
 def speeds(rounds: int = 4) -> None:
-    """Print a table of all distinct scenes.  Of some rounds the least counts: others on the machine only add time."""
+    """Print a table of all distinct scenes.  The fastest of several rounds counts: other load only adds time."""
     names = distinct()
     measured = [[speed(name) for name in names] for _ in range(rounds)]
     print(f"budget {BUDGET_MS:.1f} ms a frame\n| scenario | median, ms | 95th percentile, ms |\n|{'---|' * 3}")

@@ -2,7 +2,7 @@
 
     python -m tools.docs.settings
 
-A test holds that both files say what the code says.
+A test checks that both files agree with the code.
 """
 
 import math
@@ -33,12 +33,12 @@ DERIVED = {
     "limits.half_view_rad": _LENS.horizontal_fov_rad / 2,
     "limits.latency_s": 0.0,
 }
-"""What the derived settings are for a camera at its defaults."""
+"""The derived settings for a camera at its defaults."""
 BELOW = {f"{branch}.{name}" for layer in PRESETS.values() for branch, held in layer.items() for name in held}
 
 
 def table(branch: object, path: str) -> Iterator[str]:
-    """A branch and those in it, as TOML with a sentence after each value."""
+    """A branch of the settings and its sub-branches, as TOML with a sentence after each value."""
     said = sentences(type(branch))
     values = {f.name: getattr(branch, f.name) for f in fields(branch)}
     leaves = {name: value for name, value in values.items() if not is_dataclass(value)}
@@ -55,12 +55,12 @@ def table(branch: object, path: str) -> Iterator[str]:
 
 
 def settings_file() -> str:
-    """Every setting at its default, with its unit and what it does."""
+    """Every setting at its default, with its unit and its sentence."""
     return HEAD + "\n".join(table(Config(), "")) + "\n"
 
 
 def limits_page() -> str:
-    """Each limit with its default, its unit and what it does."""
+    """Each limit with its default, its unit and its sentence."""
     lines = [
         "# Limits of the gate",
         "",

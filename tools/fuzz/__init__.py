@@ -1,1 +1,1 @@
-"""Garbage and mutations into everything that reads from outside."""
+"""Fuzzing: random and mutated input for everything that reads data from outside."""

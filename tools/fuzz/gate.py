@@ -2,7 +2,7 @@
 
     python -m tools.fuzz.gate --rounds 1000000 --seed 0
 
-Prints one line of figures; exits 1 at the first breach and names it.  The checks compare the gate's state before and
+Prints one line of figures; exits 1 at the first violation and names it.  The checks compare the gate's state before and
 after a round by plain arithmetic and share no code with the gate.
 """
 

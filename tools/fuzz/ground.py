@@ -1,8 +1,8 @@
-"""What a ground station may send: garbage, and well-formed commands with any number in any field.
+"""Fuzzing of the ground station's side: garbage, and well-formed commands with any number in any field.
 
-Laws, each after every input: no exception, and nothing but whole packets goes out; each command to our camera is
-acknowledged once; what is selected lies in the image; nothing that a ground station sends orders FOLLOW without
-`--ground-follows`, and how the vehicle is to fly stays as it was set; a box that is drawn properly is still taken.
+Checked after every input: no exception; only whole packets are sent; each command to our camera is acknowledged once;
+a selection lies in the image; no message of a ground station orders FOLLOW without `--ground-follows` or changes the
+settings of the flight; a valid box is still accepted.
 """
 
 import math
@@ -56,7 +56,7 @@ class Air:
 
 
 class AtOnce:
-    """Looks for the box of a click at once; GrabCut itself has its own tests."""
+    """Computes the box of a click in the same thread; GrabCut itself has its own tests."""
 
     def submit(self, look: Callable, *given):
         future: Future = Future()
@@ -65,7 +65,7 @@ class AtOnce:
 
 
 class GroundTarget:
-    """The ground's side of a flight that is tracked and not flown, with a camera that sees coloured blocks."""
+    """The ground station's side of a flight that tracks but is not flown; its images are coloured blocks."""
 
     def __init__(self) -> None:
         self.air, self.linked, self.lines = Air(), [], []
@@ -107,7 +107,7 @@ class GroundTarget:
         self.ground.see(tick)
 
     def hear(self, data: bytes) -> None:
-        """One input: as a datagram, and as the seed of a well-formed command, directly or behind the autopilot."""
+        """One input: as a datagram, and as the seed of a well-formed command, directly or through the autopilot."""
         dice = random.Random(data)
         command = self.command(dice)
         packet = self.packets.write(command)
@@ -140,7 +140,7 @@ class GroundTarget:
         return dialect.MAVLink_command_long_message(1, CAMERA, name, dice.randrange(256), *numbers)
 
     def judge(self, command, count: int) -> None:
-        """The laws; the command came so often."""
+        """The checks of the module's docstring; the command was sent `count` times."""
         sent = [message for packet in self.linked for message in self.reader.read_datagram(packet)]
         assert len(sent) == len(self.linked), "a packet that is not whole went out"
         acks = [m for m in sent if m.get_type() == "COMMAND_ACK" and m.command == command.command]
@@ -158,7 +158,7 @@ class GroundTarget:
         self.air.sent.clear()
 
     def drawn_properly(self) -> None:
-        """A person draws a box: it is taken, whatever came before."""
+        """A valid box is accepted, whatever was sent before."""
         for _ in range(math.ceil(SELECT_EVERY_S / 0.05) + 1):
             self.round()
         box = 0.3, 0.3, 0.3 + random.uniform(0.1, 0.2), 0.5
@@ -177,7 +177,7 @@ def is_for_us(message) -> bool:
 
 
 def ground_target() -> tuple[list[bytes], Callable[[bytes], None]]:
-    """Seeds, and what hears them."""
+    """Seeds, and the function that receives the inputs."""
     target = GroundTarget()
     station = Packets(255, 190)
     drag = dialect.MAVLink_command_long_message(1, CAMERA, 2005, 0, 0.25, 0.5, 0.375, 0.75, 0, 0, 0)

@@ -2,8 +2,8 @@
 
     python -m tools.fuzz.inputs --seconds 60 --seed 0
 
-Each target is fuzzed for that long; prints how often, and how often it was refused; exits 1 at the first breach with
-the input as a Python literal.
+Each target is fuzzed for that long; prints the number of inputs and of those refused; exits 1 at the first violation
+with the input as a Python literal.
 
 MATLAB files of boxes are not among the targets: scipy's compiled reader itself crashes on broken ones, so `.mat` files
 must come from a source that is trusted.  Nothing that flies reads them.
@@ -51,7 +51,7 @@ class Hang(BaseException):
 
 
 def mutated(seed: bytes, rng: random.Random) -> bytes:
-    """A seed with bits turned, pieces cut out, doubled or put in; or plain garbage."""
+    """A seed with bits flipped and pieces removed, doubled or inserted; or plain garbage."""
     if rng.random() < 0.1:
         return rng.randbytes(rng.randrange(400))
     data = bytearray(seed)
@@ -70,7 +70,7 @@ def mutated(seed: bytes, rng: random.Random) -> bytes:
 
 
 def mavlink_target() -> tuple[list[bytes], Target]:
-    """The client, one for a whole run, by datagrams and as a stream in turn; its numbers stay finite."""
+    """One MAVLink client for the whole run, fed by datagrams and as a stream in turn; its numbers stay finite."""
     system = AutopilotSystem(Autopilot.PX4, Vehicle(Autopilot.PX4, VehicleTruth(down_m=-5.0)))
     seeds: list[bytes] = []
     for i in range(60):
@@ -130,7 +130,7 @@ def command_line(data: bytes) -> None:
 
 
 def settings_seeds() -> list[bytes]:
-    """The example with every setting; and its lines one by one, so that a short input reaches each kind of setting."""
+    """The example with every setting, and each of its lines, so that short inputs reach each kind of setting."""
     example = Path(__file__).parents[2] / "docs" / "service" / "settings.toml"
     seeds = [example.read_bytes()]
     table = b""
@@ -143,7 +143,7 @@ def settings_seeds() -> list[bytes]:
 
 
 def settings(path: Path) -> None:
-    """A settings file: only a UsageError may come out, and what was read is written and read again."""
+    """A settings file: the only exception is UsageError; valid settings survive writing and reading again."""
     try:
         read = read_settings(path)
     except ValueError as error:
@@ -160,7 +160,7 @@ def settings(path: Path) -> None:
 
 
 def targets(folder: Path) -> dict[str, tuple[list[bytes], Target]]:
-    """Name -> (seeds, what reads them)."""
+    """Name -> (seeds, the function that reads them)."""
     picture = np.random.default_rng(0).integers(0, 256, (48, 64, 3), np.uint8)
     video = folder / "seed.avi"
     with VideoWriter(video, 30.0) as writer:
@@ -195,7 +195,7 @@ def hang(_number: int, _frame: object) -> None:
 
 
 def fuzz(name: str, seeds: list[bytes], target: Target, seconds: float, rng: random.Random) -> tuple[str, str]:
-    """Fuzz one target: a line of figures, and what is wrong."""
+    """Fuzz one target; returns a line of figures and the violation, if any."""
     rounds = refused = 0
     slowest, end = 0.0, time.monotonic() + seconds
     while time.monotonic() < end:
@@ -210,7 +210,7 @@ def fuzz(name: str, seeds: list[bytes], target: Target, seconds: float, rng: ran
                 return "", f"{name}: {type(error).__name__} is not one line: {str(error)!r}, input {data!r}"
         except Hang:
             return "", f"{name}: no end within {HANG_S:g} s, input {data!r}"
-        except Exception as error:  # noqa: BLE001 - any other kind is what is looked for
+        except Exception as error:  # noqa: BLE001 - any other exception is a violation
             return "", f"{name}: {type(error).__name__}: {error}, input {data!r}"
         finally:
             signal.setitimer(signal.ITIMER_REAL, 0.0)
@@ -229,7 +229,7 @@ def main(argv: list[str] | None = None) -> int:
     failed = False
     quiet = os.open(os.devnull, os.O_WRONLY)
     heard = os.dup(2)
-    os.dup2(quiet, 2)  # libpng, libjpeg and FFmpeg complain there by themselves
+    os.dup2(quiet, 2)  # libpng, libjpeg and FFmpeg write their own messages there
     with tempfile.TemporaryDirectory() as folder:
         for name, (seeds, target) in targets(Path(folder)).items():
             if options.only in name:

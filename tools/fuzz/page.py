@@ -2,9 +2,9 @@
 
     python -m tools.fuzz.page --seconds 60 --seed 0
 
-Each kind is fuzzed for that long against one running page, beside a loop that goes on round by round.  Exits 1 with the
-input as a Python literal at the first breach: an error inside the server, a server that no longer serves a window, a
-selection outside the image, or an act that is none of those a person can do.
+Each kind is fuzzed for that long against one running page, beside a running loop.  Exits 1 with the input as a Python
+literal at the first violation: an error inside the server, a server that no longer serves a window, a selection outside
+the image, or an act that does not exist.
 """
 
 import argparse
@@ -23,7 +23,7 @@ from follow.selection import Selection
 from tests.support.page_rig import PageRig
 from tools.fuzz.inputs import mutated
 
-ANSWER_S = 0.02  # how long an answer is waited for before the next input
+ANSWER_S = 0.02  # wait for a reply before the next input
 CHECK_EVERY = 100  # inputs between two checks that a window is still served
 KEY = b"0123456789abcdef"
 
@@ -52,11 +52,11 @@ def over_tcp(rig: PageRig, data: bytes) -> None:
             wire.sendall(data)
             wire.recv(65536)
         except (TimeoutError, ConnectionError):
-            pass  # no answer, or a refusal
+            pass  # no reply, or a refusal
 
 
 def after_handshake(rig: PageRig, data: bytes) -> None:
-    """Send bytes on an open WebSocket that has introduced itself."""
+    """Send bytes on an open WebSocket after its greeting."""
     over_tcp(rig, handshake(rig) + masked(1, KEY, b"\0\0\0\0") + data)
 
 
@@ -130,7 +130,7 @@ def check(rig: PageRig) -> str:
 def fuzz(
     rig: PageRig, name: str, seeds: list[bytes], send: Send, seconds: float, rng: random.Random
 ) -> tuple[str, str]:
-    """Fuzz one kind: a line of figures, and what is wrong."""
+    """Fuzz one kind; returns a line of figures and the violation, if any."""
     sent: list[bytes] = []
     count, end_s = 0, time.monotonic() + seconds
     while time.monotonic() < end_s:

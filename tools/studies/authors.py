@@ -1,4 +1,4 @@
-"""What the stored boxes of RACF's authors say about how their program reads the paper.
+"""How the program of RACF's authors implements the paper, inferred from their stored boxes.
 
     python -m tools.studies.authors DATA [--tracker racf-] [--tracker racf-,warm_start=false] [--only boat5]
 
@@ -7,7 +7,7 @@ DATA is that of `tools.studies.halves`.  Two questions:
 Whole cells: does the target move by whole cells of the sample (4 of its pixels), that is, is the response's maximum
 taken without a step between cells?  Printed for each sequence: the share of the moves along one axis, of at least 0.6
 of a cell, that are within 0.15 of a whole number of cells, for the authors and for `--other`, stored boxes of a tracker
-that interpolates.  Stored boxes are whole pixels, so sequences with cells below 4 px say nothing.
+that interpolates.  Stored boxes are whole pixels, so sequences with cells below 4 px are not used.
 
 Agreement: our filter is led along the authors' boxes (it searches around their last box and learns at their next one)
 and picks a cell in each frame.  Printed for each `--tracker`: the share of frames in which it is the authors' cell, the
@@ -33,7 +33,7 @@ from tools.studies.halves import HALVES, read_halves, tracker_label
 
 LEAST_CELL_PX = 4.0  # below it the rounding of stored boxes to pixels hides a cell's fraction
 MOVED_CELLS, NEAR_CELLS = 0.6, 0.15
-KNOWN_CELLS = 0.3  # a move further than this from a whole number of cells is rounding or a new centre: not used
+KNOWN_CELLS = 0.3  # a move that is further than this from a whole number of cells is not used (rounding, new centre)
 _IMAGES = FrameCache(max_bytes=900_000_000)
 
 

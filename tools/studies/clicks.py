@@ -3,7 +3,7 @@
     python -m tools.studies.clicks
 
 A person clicks a tenth of the target's size beside its middle (standard deviation).  Prints, for each scene, the median
-IoU with the true box, the share of clicks with an IoU above 0.4, and the share without an answer.
+IoU with the true box, the share of clicks with an IoU above 0.4, and the share of clicks for which no box was found.
 """
 
 import argparse

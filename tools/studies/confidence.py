@@ -1,12 +1,12 @@
-"""How sharp responses are on the target and where it is not: the thresholds of follow/control/target.py, measured.
+"""Sharpness of responses on the target and elsewhere: measures the thresholds of follow/control/target.py.
 
     python -m tools.studies.confidence DATA [--frames 300] [--tracker racf,robust,redetect=false]
 
 DATA holds folders of real sequences (`*/*/` with images and an annotation file).  Every frame gives the PSR over the
 target's usual PSR, computed as the target estimate computes it, and the overlap with the annotated box.  Every fifth
 frame is also given to a copy of the tracker that searches one search area away, where nothing of the target is.
-Prints, for a range of thresholds, how often a tracker on its target would be rejected, and one that looks elsewhere or
-has drifted off accepted; draws docs/confidence.png.
+Prints, for a range of thresholds, how often a tracker on its target would be rejected, and how often a tracker that
+searches elsewhere or has drifted off would be accepted; draws docs/confidence.png.
 """
 
 import argparse
@@ -39,7 +39,7 @@ THRESHOLDS = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
 
 @dataclass
 class Ratios:
-    """PSR over its usual value: of the frames as they were followed, with their overlaps, and of looks elsewhere."""
+    """PSR over its usual value: of the tracked frames, with their overlaps, and of searches elsewhere."""
 
     followed: list[float] = field(default_factory=list)
     overlap: list[float] = field(default_factory=list)

@@ -3,8 +3,8 @@
     python -m tools.studies.consistency [--seconds 15] [--scenario walker ...] [--fault none ...] [--plot FILE]
 
 Flies each scenario in the drawn world with the true boxes, puts a fault into the camera after `FAULT_S`, and prints the
-percentiles of the three gains (whole, turn, box; see follow/safety/consistency.py), when the first contradiction was
-found, how far the vehicle was from there when it had braked, and every false alarm.
+percentiles of the three gains (whole, turn, box; see follow/safety/consistency.py), the time of the first
+contradiction, the braking distance from there, and every false alarm.
 """
 
 import argparse
@@ -37,7 +37,7 @@ NAMES = ("whole", "turn", "box")
 
 @dataclass
 class FaultyCamera:
-    """The scene's camera with a fault from `from_s` on; an upside-down one is so from the start."""
+    """The scene's camera with a fault from `from_s` on; an upside-down camera is upside down from the start."""
 
     camera: SceneCamera
     fault: str
@@ -76,7 +76,7 @@ class FaultyCamera:
 
 @dataclass
 class TrueBoxes:
-    """A tracker that knows the truth of the image that it is shown, or sits still in it."""
+    """A tracker that returns the true box of the image that it gets, or a box that never moves."""
 
     camera: FaultyCamera
     last: Track | None = None

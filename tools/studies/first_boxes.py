@@ -2,8 +2,8 @@
 
     python -m tools.studies.first_boxes DATA [--tracker racf,robust] [--frames 200] [--jobs N] [--dask ADDRESS]
 
-DATA is that of `tools.studies.halves`.  Each sequence begins three times, on its annotated first box and after a third
-and two thirds of its way, from the annotated box and from each of `BOXES`, and is run for `--frames` frames.  A frame
+DATA is that of `tools.studies.halves`.  Each sequence is started at its first frame, a third and two thirds of its way,
+each time from the annotated box and from each of `BOXES`, and runs for `--frames` frames.  A frame
 counts as on the target if the tracker's centre lies in the annotated box, grown by a tenth of its sides.
 
 Prints the percent of frames on the target, and off it but called found, for each of `BOXES`: by half and by sequence.

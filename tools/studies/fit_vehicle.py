@@ -3,8 +3,8 @@
     python -m tools.studies.fit_vehicle DATA [--fit] [--plot docs/vehicle.png]
 
 DATA holds two samples of each autopilot (`FILES`), with one row per telemetry sample: time, step label, the command
-(body velocity, yaw rate), the measured body velocity, attitude, yaw rate and height.  Without `--fit` it judges the
-numbers in the code; with it, it fits them again and prints them.
+(body velocity, yaw rate), the measured body velocity, attitude, yaw rate and height.  Without `--fit` it evaluates the
+numbers in the code; with `--fit` it fits them again and prints them.
 """
 
 import argparse
@@ -36,7 +36,7 @@ DURATION_S = 7.9  # each step was held for 8 s
 T = np.arange(0.0, DURATION_S, STEP_S)
 
 Steps = dict[str, tuple[Setpoint, Setpoint, np.ndarray]]
-"""Of one sample: label -> the command before, the command, what was measured at each T as rows of COLUMNS[1:]."""
+"""One sample: label -> the command before, the command, the measurements at each T as rows of COLUMNS[1:]."""
 
 
 def read_samples(folder: Path) -> dict[Autopilot, list[Steps]]:
@@ -45,7 +45,7 @@ def read_samples(folder: Path) -> dict[Autopilot, list[Steps]]:
 
 
 def model_of(autopilot: Autopilot, sample: int) -> int:
-    """The index of the response model that stands for a sample."""
+    """The index of the response model of a sample."""
     return min(sample, len(RESPONSES[autopilot]) - 1)
 
 
@@ -248,8 +248,8 @@ def wander(v: list[np.ndarray]) -> tuple[float, float]:
 def velocity_error(samples: list[Steps]) -> tuple[float, float]:
     """Standard deviation (m/s) and correlation time (s) of the reported vertical velocity's error.
 
-    The reported height moves by more than the integral of the reported velocity: what is left after a lag L of a
-    first-order Gauss-Markov error has the mean square 2σ²τ²(L/τ - 1 + exp(-L/τ)).
+    The reported height changes by more than the integral of the reported velocity.  For a first-order Gauss-Markov
+    error of the velocity, the mean square of this difference over a lag L is 2σ²τ²(L/τ - 1 + exp(-L/τ)).
     """
     lags_s = (0.5, 1.0, 2.0, 4.0, 6.0)  # within a step
     left = [m[:, 6] - np.cumsum(m[:, 2]) * STEP_S for steps in samples for _, _, m in steps.values()]

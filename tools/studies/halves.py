@@ -10,12 +10,13 @@ annotated boxes after a sixth, a half and five sixths; `--starts eight` four mor
 seven twelfths; `fifteen` both, `twenty` all.  A sequence counts once, with the mean over its starts.  Shares are
 percent, in the toolkits' convention (docs/evaluation.md).
 
-Of each family of candidates the best on one half (by the sum of AUC and precision) is reported on the other, and the
-other way round; both reports together are the two-fold figure, over all twenty sequences, none of which chose what it
-is judged by.  Differences are paired by sequence, with a 95 % bootstrap interval over sequences.
+Two-fold cross-validation: of each family of candidates the best on one half (by the sum of AUC and precision) is
+reported on the other half, and vice versa.  Both together cover all twenty sequences, and no sequence took part in
+choosing the settings that it evaluates.  Differences are paired by sequence, with a 95 % bootstrap interval over
+sequences.
 
 Without `--tracker` it runs FAMILIES and prints every table of docs/study.md; with it, only the trackers named.
-Finished runs are kept in OUT, and a later run with other trackers goes on from there.
+Finished runs are kept in OUT; a later call with other trackers reuses them.
 """
 
 import argparse
@@ -78,7 +79,7 @@ AUTHORS = "RACF, the authors' boxes"
 
 @dataclass(frozen=True, slots=True)
 class Family:
-    """Settings that answer one question; `default` is what the tracker does unless told."""
+    """Settings that answer one question; `default` is the one that the tracker has by default."""
 
     default: str
     others: tuple[str, ...]
@@ -126,7 +127,7 @@ class Difference:
 
 @dataclass(frozen=True, slots=True)
 class Fold:
-    """What was best on one half, and how it did on the other."""
+    """The best candidate on one half, and its figures on the other."""
 
     chosen_on: str
     label: str
@@ -223,7 +224,7 @@ def authors(data: Path, sequences: list[Sequence], tracker: str) -> Figures:
 def measure(
     labels: Iterable[str], sequences: list[Sequence], starts: Starts, out: Path | None, jobs: int, dask: str | None
 ) -> dict[str, Figures]:
-    """Run what is not in `out` yet."""
+    """Run the tasks that have no results in `out` yet."""
     specs = {(spec := TrackerSpec.parse(text)).label: spec for text in labels}
     for spec in specs.values():
         spec.check()
@@ -247,7 +248,7 @@ def table(measured: Mapping[str, Figures], against: Figures, name: str) -> str:
 
 
 def choice(family: Family, measured: Mapping[str, Figures]) -> str:
-    """What was best on each half, how that did on the other beside the family's default, and both together."""
+    """The best on each half, its figures on the other half beside the family's default, and both together."""
     every = [*HALVES["A"], *HALVES["B"]]
     default = measured[family.default]
     folds, reported = two_fold({label: measured[label] for label in (family.default, *family.others)})

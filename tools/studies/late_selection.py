@@ -3,9 +3,9 @@
     python -m tools.studies.late_selection --starts 20
 
 A vehicle hovers beside the path of the drawn cyclist and runner and does not turn, so that the target crosses the
-image.  Where the target is true at a start, its box is given 0, 0.3, 0.6 and 1 s later: with the frame it was drawn on
-(catch-up), and as a box of the newest frame (without).  Prints in how many starts the tracker's box is on the target
-(IoU of at least 0.3) two seconds after the box was given.  Some four minutes on one core.
+image.  The true box of a frame is passed 0, 0.3, 0.6 and 1 s later: with the frame on which it was drawn (catch-up),
+and as a box of the newest frame (without).  Prints in how many starts the tracker's box is on the target (IoU of at
+least 0.3) two seconds after the box was passed.  Takes some four minutes on one core.
 """
 
 import argparse
@@ -30,7 +30,7 @@ RATE_HZ = 30
 ASIDE_M, HEIGHT_M = 25.0, 10.0
 ON_TARGET = 0.3
 SCENES = ("cyclist", "runner")
-TRIES = 3  # films for each start that is wanted: some targets leave the image
+TRIES = 3  # films for each start: in some the target leaves the image
 
 
 class Hovering:
@@ -70,7 +70,7 @@ class Kept:
 
 
 def holds(film, late_s: float, catches_up: bool, tracker_name: str) -> bool:
-    """Whether the target is held AFTER_S after its late box was given."""
+    """Whether the tracker is on the target AFTER_S after its late box was passed."""
     tracker = TrackerSpec.parse(tracker_name).build()
     given = round(LATE_S[-1] * RATE_HZ)
     drawn = given - round(late_s * RATE_HZ)

@@ -1,4 +1,4 @@
-"""In view and centring over the camera's delay, with the delay compensated and without.
+"""Fraction in view and centring against the camera's delay, with and without delay compensation.
 
     python -m tools.studies.latency_sweep --tracker racf-,robust --seeds 1
 

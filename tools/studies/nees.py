@@ -1,13 +1,14 @@
-"""Is the estimate's covariance honest?  Its normalised error squared over hills and flat ground, flown in closed loop.
+"""Is the estimate's covariance consistent?  Its NEES over hills and flat ground, in closed loop.
 
     python -m tools.studies.nees --out docs/nees.png
     python -m tools.studies.nees --drawn 20 --out docs/nees_drawn.png
 
-NEES is e' P^-1 e of the target's (north, east, v_north, v_east, ground) (Bar-Shalom et al., 2001, §5.4).  Of one flight
-it is averaged over time, and of a group of flights over flights: if the covariance is honest, the mean of N independent
-flights at one time lies in the band chi2(5 N) / N for 95 %.  Boxes err as RACF's do (tests/support/ground_flight.py).
-With --drawn, everything that the filter assumes is drawn as it assumes it: size, ground, gradient, the target's
-accelerations and the errors of boxes.  Then NEES must lie in the band; with boxes as good as RACF's it lies below.
+NEES, the normalised estimation error squared, is e' P^-1 e of the target's (north, east, v_north, v_east, ground)
+(Bar-Shalom et al., 2001, §5.4).  It is averaged over time for one flight, and over flights for a group: if the
+covariance is consistent, the mean of N independent flights at one time lies in the band chi2(5 N) / N for 95 %.  Boxes
+have the errors of RACF's (tests/support/ground_flight.py).  With --drawn, size, ground, gradient, the target's
+accelerations and the errors of boxes are drawn from the distributions that the filter assumes.  Then NEES must lie in
+the band; with boxes as good as RACF's it lies below.
 """
 
 import argparse
@@ -71,9 +72,9 @@ def drawn(seed: int) -> GroundFlight:
 
 
 def over_hill(speed_m_s: float, slope: float, rules: str, seed: int) -> GroundFlight:
-    """A flight over a hill with all else drawn as the filter assumes it: size, height of the start's ground.
+    """A flight over a hill; size and height of the ground at the start are drawn as the filter assumes them.
 
-    The target's speed and course waver by a tenth, as those of somebody on foot, and boxes err as RACF's.
+    The target's speed and course vary by a tenth, as those of somebody on foot; boxes have the errors of RACF's.
     """
     random, c, end_s, dt = np.random.default_rng([seed, round(1e3 * slope) % 997, 6]), TargetConfig(), 4.0, 0.1
     end_s += WAY_M / speed_m_s
@@ -102,7 +103,7 @@ def over_hill(speed_m_s: float, slope: float, rules: str, seed: int) -> GroundFl
 
 
 def nees(flight: Flight) -> tuple[Flight, np.ndarray, dict[str, float]]:
-    """Fly once: times and NEES (T, 2), and what else came of the flight."""
+    """Fly once: times and NEES (T, 2), and the flight's other results."""
     rules, speed, slope, seed = flight
     if speed and seed:
         flown = over_hill(speed, slope, rules, seed)
@@ -169,7 +170,7 @@ def draw(flights: Sequence[tuple[Flight, np.ndarray, dict[str, float]]], path: P
 
 
 def main() -> None:
-    """Fly all of it and print a table."""
+    """Fly all flights and print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path("nees.png"), help="where the plot goes")
     parser.add_argument("--seeds", type=int, default=2, help="flights of each kind")

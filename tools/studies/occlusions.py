@@ -1,14 +1,14 @@
-"""What a tracker does when something slowly hides its target: occlusions made on the study's twenty sequences.
+"""Behaviour of a tracker in slow occlusions: synthetic occlusions on the study's twenty sequences.
 
     python -m tools.studies.occlusions DATA [--tracker racf,robust] [--against racf] [--seed N]
                                        [--jobs N] [--dask ADDRESS]
 
-DATA is that of `tools.studies.halves`.  Real occlusions are few there, and each decides whole figures.  Here a piece of
-the sequence's own background passes over the annotated target, up to EVENTS times a sequence: fewer where it is too
-short or the target is absent.  Each is a fresh start on the annotated box, LEAD frames before the piece touches the
-target.  It takes FASTEST to SLOWEST frames to pass, from a side and with a size that are drawn; then come AFTER frames
-more.  Size and path are those of the target's first size, so that a target that grows is covered less and longer, and
-the piece may show another car or person.
+DATA is that of `tools.studies.halves`.  It has few real occlusions, and a single one can dominate a figure.  Here a
+piece of the sequence's own background passes over the annotated target, up to EVENTS times a sequence: fewer where it
+is too short or the target is absent.  Each is a fresh start on the annotated box, LEAD frames before the piece touches
+the target.  The piece takes FASTEST to SLOWEST frames to pass, from a random side and with a random size; AFTER frames
+follow.  Its size and path are based on the target's first size, so that a target that grows is covered less and longer.
+The piece may show another car or person.
 
 A frame counts as false if the tracker calls the target found and its box has no overlap with the annotation.  An event
 ends kept (found, overlap above 0.3), false, lost, or between (found, an overlap up to 0.3).  Intervals are 95 %, by
@@ -50,13 +50,13 @@ OUTCOMES = ("kept", "between", "lost", "false")
 Image = NDArray[np.uint8]
 Boxes = NDArray[np.float64]  # (frames, 4), 0-based pixels
 
-_ONE_BASED = np.array([1.0, 1.0, 0.0, 0.0])  # what an annotation counts more than a box here
+_ONE_BASED = np.array([1.0, 1.0, 0.0, 0.0])  # an annotation's x, y, w, h less those of a box here
 _IMAGES = FrameCache(max_bytes=900_000_000)  # the events of a sequence share its images
 
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """A start and what passes: `frames` of `sequence` beginning with number `first`.
+    """A start and the piece that passes: `frames` of `sequence` beginning with number `first`.
 
     piece: a box in the first of these images; way: its centre's distance from the target's, px, when it touches the
     target, in x and y; crossing: frames in which it comes to the other side.
@@ -78,7 +78,7 @@ class Event:
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """Of the frames from the touch on, how many there are and how many are false; and how the event ends."""
+    """Number of frames from the touch on, how many of them are false, and how the event ends."""
 
     frames: int
     false: int
@@ -185,7 +185,7 @@ def false_share(judged: list[Judged]) -> float:
 
 
 def ends(judged: list[Judged], outcome: str) -> float:
-    """Percent of the events that end so."""
+    """Percent of the events that end in this way."""
     return 100 * sum(j.end == outcome for j in judged) / max(len(judged), 1)
 
 

@@ -2,9 +2,10 @@
 
     python -m tools.studies.other_starts DATA --tracker racf --tracker racf,learning_rate=0.0192 [--jitter 2]
 
-A check of what was chosen by the sequences' own starts: each sequence is run from a sixth and a third of its frames on,
-and backwards from its end and from two thirds, always from the annotated box and from `--jitter` wrong ones.  Prints
-precision at 20 px / AUC in percent, the mean over all runs (strict convention: frames without a target do not count).
+A check of settings that were chosen on the sequences' own starts: each sequence is run from a sixth and a third of its
+frames on, and backwards from its end and from two thirds, always from the annotated box and from `--jitter` wrong ones.
+Prints precision at 20 px / AUC in percent, the mean over all runs (strict convention: frames without a target do not
+count).
 """
 
 import argparse

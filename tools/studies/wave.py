@@ -1,8 +1,8 @@
-"""What `follow doctor --wave` measures of wrong mounts, lenses and delays, in the drawn world.
+"""Accuracy of `follow doctor --wave`: wrong mounts, lenses and delays, measured in the drawn world.
 
     python -m tools.studies.wave [--seconds 12] [--case NAME ...]
 
-A vehicle is turned in somebody's hands before each scene; the table compares what is measured with what was drawn.
+A vehicle is turned in somebody's hands in front of each scene; the table compares the measured with the drawn values.
 """
 
 import argparse
@@ -23,7 +23,7 @@ from sim.waving import WavedVehicle
 
 @dataclass(frozen=True)
 class Case:
-    """One camera as it is drawn; all are believed to have 80 degrees, 43 degrees below the nose and no delay."""
+    """One camera as it is drawn; the settings of all are 80 degrees, 43 degrees below the nose and no delay."""
 
     name: str
     scene: str = "walker"
@@ -39,7 +39,7 @@ CASES = [
     Case("mount 29 for 43"),
     Case("lens 130 for 80", fov_deg=130.0),
     Case("upside down", upside_down=True),
-    # Whole rounds of 1/30 s: the lockstep delivers at no other times.
+    # Multiples of 1/30 s: the lockstep delivers frames only at these times.
     *(Case(f"{1000 * n / 30:.0f} ms", delay_s=n / 30) for n in (2, 3, 6, 9, 12)),
     Case("all at once", fov_deg=130.0, upside_down=True, delay_s=0.3),
     Case("narrow lens", fov_deg=50.0, delay_s=0.1),
@@ -53,7 +53,7 @@ BELIEVED = Intrinsics.from_fov(640, 360, math.radians(80.0))
 
 
 def waved_frames(case: Case, seconds: float) -> tuple[SceneCamera, SimLink]:
-    """The scene's camera in the case's mount, on a vehicle that is waved."""
+    """The scene's camera in the case's mount, on a vehicle that is turned by hand."""
     scenario = SCENARIOS[case.scene]
     world = scenario.world(0)
     vehicle = WavedVehicle(Autopilot.PX4, scenario.start(world, 0), case.amount)
@@ -65,7 +65,7 @@ def waved_frames(case: Case, seconds: float) -> tuple[SceneCamera, SimLink]:
 
 
 def stamped(camera: SceneCamera, link: SimLink, upside_down: bool) -> Iterator[Frame | None]:
-    """Frames as a device gives them: with the time at which they come."""
+    """Frames as from a device: with the time of their arrival."""
     for frame in camera.frames():
         if frame is None:
             yield None
@@ -75,7 +75,7 @@ def stamped(camera: SceneCamera, link: SimLink, upside_down: bool) -> Iterator[F
 
 
 def measured(case: Case, seconds: float = 20.0) -> Mounting:
-    """What the waving tells of the case; raises WaveError."""
+    """The measurement of the case by waving; raises WaveError."""
     camera, link = waved_frames(case, seconds)
 
     def state() -> VehicleState:
