@@ -109,13 +109,13 @@ WORDS_LEFT: dict[str, int] = {
 """The setting `record.pictures` keeps its name, which settings files and scripts of users hold: its tests write it."""
 
 
-def test_no_file_is_longer_than_one_reading():
+def test_no_file_is_longer_than_the_limit():
     lines = {source: len((ROOT / source).read_text().splitlines()) for source in sources(*CODE)}
     assert {s: n for s, n in lines.items() if n > LONG_FILES.get(s, FILE_LINES)} == {}
     assert {s for s in LONG_FILES if lines[s] <= FILE_LINES} == set(), "take it off the list"
 
 
-def test_no_function_is_longer_than_a_screen():
+def test_no_function_is_longer_than_the_limit():
     lines = dict(function for source in sources(*PACKAGES) for function in functions(source))
     assert {s: n for s, n in lines.items() if n > LONG_FUNCTIONS.get(s, FUNCTION_LINES)} == {}
     assert {s for s in LONG_FUNCTIONS if lines[s] <= FUNCTION_LINES} == set(), "take it off the list"
@@ -151,7 +151,7 @@ def test_words_are_plain():
         "it is None",
     ],
 )
-def test_plain_words_are_let_through(text):
+def test_plain_words_are_accepted(text):
     assert findings(iter([text])) == []
 
 

@@ -80,7 +80,7 @@ def imported(text: str, package: tuple[str, ...]) -> set[str]:
         "__import__('follow.safety')",
     ],
 )
-def test_no_way_to_import_is_overlooked(text):
+def test_every_form_of_import_is_checked(text):
     assert any(name.startswith("follow.safety") for name in imported(text, ("follow", "control")))
 
 
@@ -89,7 +89,7 @@ def sources(package: str) -> list[str]:
 
 
 @pytest.mark.parametrize("source", sources("racf"))
-def test_the_tracker_knows_nothing_of_drones(source):
+def test_the_tracker_imports_no_other_package_of_the_project(source):
     assert not {name for name in imports(ROOT / source) if not name.startswith("racf")}
 
 
@@ -104,7 +104,7 @@ def test_the_application_does_not_need_the_simulator(source):
 
 
 @pytest.mark.parametrize("source", sources("follow"))
-def test_rooms_import_one_way(source):
+def test_rooms_import_in_one_direction_only(source):
     if source == "follow/__init__.py":
         return
     room = source.split("/")[1].removesuffix(".py")
@@ -112,7 +112,7 @@ def test_rooms_import_one_way(source):
     assert seen - {room} <= MAY_IMPORT[room]
 
 
-def test_every_room_is_known_and_their_arrows_make_no_circle():
+def test_every_room_is_listed_and_their_imports_form_no_cycle():
     rooms = {source.split("/")[1].removesuffix(".py") for source in sources("follow")} - {"__init__"}
     assert rooms == set(MAY_IMPORT)
     left = dict(MAY_IMPORT)
@@ -129,7 +129,7 @@ def test_the_simulator_reaches_only_seams_messages_geometry_and_boxes(source):
             assert any(name == seen or name.startswith(seen + ".") for seen in SIM_MAY_IMPORT), name
 
 
-def test_every_public_name_of_the_tracker_is_there():
+def test_every_public_name_of_the_tracker_exists():
     assert "one_core" in racf.__all__
     assert all(callable(getattr(racf, name)) for name in racf.__all__ if name != "evaluate")
     assert set(racf.__all__) <= set(dir(racf))

@@ -21,7 +21,7 @@ def test_the_share_of_stolen_time_is_of_all_time_in_between():
     assert stolen(before, after) == pytest.approx(15 / 100)
 
 
-def test_a_machine_that_does_not_say_excuses_nothing():
+def test_a_machine_without_steal_time_excuses_nothing():
     assert stolen((0,) * 8, (0,) * 8) == 0.0
 
 
@@ -32,7 +32,7 @@ def test_ticks_only_grow():
 
 
 @pytest.mark.skipif(not hasattr(os, "SCHED_IDLE"), reason="Linux only")
-def test_what_keeps_the_cores_awake_takes_only_time_that_nobody_wants_and_ends():
+def test_the_processes_that_keep_cores_awake_have_idle_priority_and_end():
     with awake() as spinners:
         assert len(spinners) == len(os.sched_getaffinity(0))
         end = time.monotonic() + 10.0
@@ -46,7 +46,7 @@ def test_what_keeps_the_cores_awake_takes_only_time_that_nobody_wants_and_ends()
 
 
 @pytest.mark.parametrize("failure", [AssertionError("slow"), subprocess.TimeoutExpired("follow", 2.0)])
-def test_what_is_asserted_against_the_clock_is_late(failure):
+def test_a_failed_time_bound_raises_late_error(failure):
     with pytest.raises(LateError), against_the_clock():
         raise failure
 
@@ -57,7 +57,7 @@ def test_any_other_failure_stays_what_it_is():
 
 
 @pytest.mark.parametrize(("last", "state"), [("", "ended with 0"), ("; time.sleep(60)", "runs")])
-def test_what_is_late_tells_what_the_program_said(last, state):
+def test_a_late_error_contains_the_output_of_the_program(last, state):
     def waits() -> None:
         with program([sys.executable, "-c", f"import sys, time; sys.stderr.write('no such port\\n'){last}"]) as running:
             running.wait_until_said("no such port")
@@ -89,7 +89,7 @@ def test_wrong():
 
 
 @pytest.mark.parametrize(("steal", "outcome"), [(0, {"failed": 2}), (50, {"failed": 1, "skipped": 1})])
-def test_stolen_time_excuses_what_is_late_and_nothing_else(steal, outcome, tmp_path):
+def test_steal_time_excuses_a_late_error_and_nothing_else(steal, outcome, tmp_path):
     """A suite of two failures under this suite's own conftest, with a /proc/stat that says what was stolen."""
     here = Path(__file__).parent
     (tmp_path / "conftest.py").write_text(

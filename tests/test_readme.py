@@ -59,7 +59,7 @@ def test_the_simulated_autopilot_of_the_readme_flies_and_is_set_as_doctor_asks(w
 
 
 @pytest.mark.parametrize("words", commands("make"), ids=" ".join)
-def test_every_make_word_of_the_readme_exists(words):
+def test_every_make_target_of_the_readme_exists(words):
     targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
     assert set(words) <= set(targets)
 
@@ -117,7 +117,7 @@ def test_the_loop_of_the_readme_flies():
     assert ticks[-1].decision.mode == "follow"
 
 
-def test_the_images_and_the_pages_of_the_readme_are_there():
+def test_the_images_and_pages_of_the_readme_exist():
     for path in re.findall(r"\]\(((?!https?:)[^)#]+)", README):
         assert (ROOT / path).exists(), path
     assert (ROOT / "docs/flight.gif").stat().st_size < 3e6

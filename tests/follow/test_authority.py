@@ -190,7 +190,7 @@ def all_played(autopilot: Autopilot) -> Counter[Mode]:
 
 
 @pytest.mark.parametrize("autopilot", Autopilot)
-def test_no_setpoint_without_a_living_order_out_of_a_listed_mode(autopilot):
+def test_no_setpoint_without_a_valid_order_out_of_a_listed_mode(autopilot):
     reached = all_played(autopilot)
     assert reached[Mode.ENGAGE] > 100
     assert reached[Mode.FOLLOW] > 100
@@ -235,7 +235,7 @@ MUTANTS = {
 
 
 @pytest.mark.parametrize("mutant", MUTANTS)
-def test_the_property_test_finds_a_wrong_table(mutant, monkeypatch):
+def test_the_property_test_detects_a_wrong_table(mutant, monkeypatch):
     MUTANTS[mutant](monkeypatch)
 
     with pytest.raises(AssertionError):
@@ -260,7 +260,7 @@ def reason_after(*played: Round) -> tuple[Mode, Reason]:
 FOLLOWING = (calm(order=Order.FOLLOW), calm(obeys=True))
 
 
-def test_the_flights_of_the_property_test_do_fly():
+def test_the_flights_of_the_property_test_reach_follow():
     assert reason_after(*FOLLOWING) == (Mode.FOLLOW, Reason(Cause.OBEYS))
 
 
@@ -298,7 +298,7 @@ def test_every_change_has_its_reason(played, mode, cause):
     assert "{" not in str(reason)
 
 
-def test_a_stick_asks_for_the_mode_in_which_sticks_act_and_all_else_for_hold():
+def test_a_stick_requests_the_stick_mode_and_every_other_end_requests_hold():
     referee = Referee(Autopilot.ARDUPILOT, "LOITER")
     for r in FOLLOWING:
         referee.play(r)
@@ -311,7 +311,7 @@ def test_a_stick_asks_for_the_mode_in_which_sticks_act_and_all_else_for_hold():
     assert Safety(LIMITS, gate).allow(HOVER, estimate, state, referee.t_s, key).release is Release.HOLD
 
 
-def test_a_vehicle_given_back_in_its_mode_is_said_to_be_so_by_our_own_pause():
+def test_a_release_in_our_own_mode_is_reported_as_a_pause_of_the_stream():
     """The link gives the vehicle back after a pause of the stream; ArduPilot stays in GUIDED then."""
     safety, t_s = engaged()
     decision = safety.allow(HOVER, seen(t_s), flying(t_s, in_control=False, mode="OFFBOARD"), t_s)
@@ -321,7 +321,7 @@ def test_a_vehicle_given_back_in_its_mode_is_said_to_be_so_by_our_own_pause():
     assert (decision.mode, decision.reason) == (Mode.ENDED, Reason(Cause.MODE_LEFT, "HOLD"))
 
 
-def test_a_stick_after_the_end_gives_the_sticks_back():
+def test_a_stick_after_the_end_requests_the_stick_mode():
     referee = Referee(Autopilot.ARDUPILOT, "LOITER")
     for r in (*FOLLOWING, calm(order=Order.OBSERVE), calm()):
         referee.play(r)
@@ -332,7 +332,7 @@ def test_a_stick_after_the_end_gives_the_sticks_back():
     assert decision.reason == Reason(Cause.STICK)
 
 
-def test_a_jumped_stick_asks_for_hold():
+def test_a_stick_value_that_jumps_requests_hold():
     referee = Referee(Autopilot.ARDUPILOT, "LOITER")
     for r in FOLLOWING:
         referee.play(r)
@@ -368,7 +368,7 @@ def test_hovering_after_a_search_ends():
     assert list(dict.fromkeys(modes)) == [Mode.COAST, Mode.SEARCH, Mode.HOLD, Mode.ENDED]
 
 
-def test_a_vehicle_that_is_not_heard_is_told_before_what_it_said_last_and_refuses_an_order_at_once():
+def test_a_silent_vehicle_is_reported_instead_of_its_last_mode_and_refuses_an_order_at_once():
     """Its mode of three seconds ago would send the pilot to the wrong switch."""
     safety, heard_s = Safety(Limits()), 1.0
     for i in range(180):

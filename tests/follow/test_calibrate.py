@@ -109,7 +109,7 @@ def test_a_checkerboard_in_an_image_is_found_within_a_fraction_of_a_pixel_and_a_
     assert CHECKERBOARD.find(np.full((360, 640, 3), 128, np.uint8)) is None
 
 
-def test_views_that_do_not_tell_the_lens_are_refused_with_the_reason():
+def test_views_that_do_not_determine_the_lens_are_refused_with_the_reason():
     few = seen(CHECKERBOARD, SCENE, held(CHECKERBOARD, SCENE, 5))
     with pytest.raises(CalibrationError, match="5 usable views of the board"):
         fit_lens(few, SIZE, LensKind.PINHOLE)

@@ -25,7 +25,7 @@ def test_devices_streams_and_programs_are_live_and_footage_is_not():
     assert not any(map(is_live, ("clip.mp4", "frames", "./0", "2024-06-01T12:30:05.mp4", "executable", "v4l2src ! x")))
 
 
-def test_a_name_is_taken_apart():
+def test_a_camera_name_is_parsed():
     device = parse_camera("0?size=1280x720&fps=29.97&format=mjpeg")
     assert (device.address, device.size, device.fps) == ("/dev/video0", (1280, 720), 29.97)
     stream = parse_camera("rtsp://user:pw@host/path?channel=1&sub=0#transport=udp")
@@ -107,7 +107,7 @@ def test_the_modes_of_a_device_are_read_by_its_own_calls():
     ]
 
 
-def test_an_unknown_mode_is_answered_with_those_there_are(monkeypatch):
+def test_an_unknown_mode_is_refused_with_the_list_of_modes(monkeypatch):
     monkeypatch.setattr(v4l2.modes_of, "__defaults__", (webcam,))
     with pytest.raises(CameraError) as refusal:
         LiveVideo("/dev/null?size=1280x720&fps=30&format=yuyv422", print)

@@ -66,7 +66,7 @@ class Scene:
 @pytest.mark.parametrize("hidden_s", [1.0, 2.0, 4.0])
 @pytest.mark.parametrize("aside_m", [-4.0, -3.0, 3.0, 4.0])
 @pytest.mark.parametrize("yaw_rate_rad_s", [0.0, YAW_RATE_RAD_S])
-def test_a_target_that_went_aside_is_found_with_the_detectors_next_answers(hidden_s, aside_m, yaw_rate_rad_s):
+def test_a_target_that_turned_aside_is_found_with_the_next_detections(hidden_s, aside_m, yaw_rate_rad_s):
     def person(_t):
         return 0.7 * hidden_s, aside_m
 
@@ -76,7 +76,7 @@ def test_a_target_that_went_aside_is_found_with_the_detectors_next_answers(hidde
     assert taken_s <= FOUND_S + 0.05 * hidden_s
 
 
-def test_it_is_found_sooner_than_without_a_detector_on_the_whole():
+def test_on_average_the_target_is_found_sooner_than_without_a_detector():
     def total(with_detector):
         times = []
         for hidden_s in (1.0, 2.0, 4.0):
@@ -91,7 +91,7 @@ def test_it_is_found_sooner_than_without_a_detector_on_the_whole():
 
 
 @pytest.mark.parametrize(("hidden_s", "speed", "place"), OTHERS[::3])
-def test_who_cannot_be_the_target_is_not_taken_however_often_he_is_offered(hidden_s, speed, place):
+def test_a_candidate_that_cannot_be_the_target_is_never_accepted(hidden_s, speed, place):
     if not cannot_be(place, speed, min(hidden_s + 4.0, 12.0)):
         pytest.skip("the target may have gone there")
     scene = Scene(speed, towards=place)
@@ -105,7 +105,7 @@ def test_the_target_is_found_among_others():
     assert scene.target.filter.mean[:2] == pytest.approx((3.0, 3.0), abs=1.5)
 
 
-def test_a_candidate_is_looked_at_where_it_is_now_not_where_it_was_in_the_turning_image():
+def test_a_candidate_is_searched_at_its_present_place_in_a_turning_image():
     scene = Scene(0.0)
     place, t_s = (1.0, 4.0), scene.lost_s + 1.0
     then, now = hovering(t_s - 0.3, north_m=-12.0), hovering(t_s, north_m=-12.0, yaw_rad=0.25)
@@ -119,7 +119,7 @@ def test_a_candidate_is_looked_at_where_it_is_now_not_where_it_was_in_the_turnin
     assert abs(box_of(place, then).centre_x - true.centre_x) > 2 * true.w
 
 
-def test_each_candidate_is_looked_at_once_and_the_predicted_place_in_every_second_frame():
+def test_each_candidate_is_searched_once_and_the_predicted_place_in_every_second_frame():
     scene, t_s = Scene(0.0), 0.0
     t_s = scene.lost_s + 1.0
     state = hovering(t_s, north_m=-12.0)

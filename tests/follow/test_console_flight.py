@@ -122,7 +122,7 @@ def test_after_a_loss_follow_asks_for_confirm_and_confirm_flies(tmp_path, monkey
     assert (setpoint, last) == (None, Mode.ENDED)
 
 
-def test_a_target_that_is_chosen_while_another_is_lost_is_looked_at_and_not_flown_to(tmp_path, monkeypatch):
+def test_a_target_that_is_chosen_while_another_is_lost_is_tracked_and_not_followed(tmp_path, monkeypatch):
     """While the walker is behind the wall the person chooses something else that stands out."""
     looked, flew = [], []
 

@@ -39,7 +39,7 @@ def test_follow_that_waits_does_not_fly_to_a_target_that_is_chosen_afterwards(is
     assert desk.ordered() == [Order.FOLLOW]
 
 
-def test_a_target_that_is_chosen_while_the_vehicle_is_taken_over_is_looked_at():
+def test_a_target_that_is_chosen_during_a_takeover_is_only_tracked():
     desk = Desk()
     desk.draw()
     desk.at(2.0, Mode.ENGAGE)
@@ -48,7 +48,7 @@ def test_a_target_that_is_chosen_while_the_vehicle_is_taken_over_is_looked_at():
     assert desk.ordered() == []
 
 
-def test_a_selection_where_nothing_waits_orders_nothing():
+def test_a_selection_without_a_queued_order_orders_nothing():
     desk = Desk()
     instructed(desk, Order.FOLLOW, 1.2)
     instructed(desk, None, 1.3, Mode.FOLLOW)
@@ -58,7 +58,7 @@ def test_a_selection_where_nothing_waits_orders_nothing():
 
 
 @pytest.mark.parametrize("by", ["page", "key", "mode switch", "landed"])
-def test_a_tap_does_not_order_follow_after_a_stop_that_came_while_its_box_was_looked_for(by):
+def test_a_tap_does_not_order_follow_after_a_stop_during_the_search_for_its_box(by):
     desk = Desk(follows=True)
     desk.consoles.is_looking = lambda: True
     assert desk.draw(GROUND) == ""

@@ -72,7 +72,7 @@ def test_a_drawn_target_is_tracked_and_follow_flies_to_it():
     assert desk.ordered() == [Order.FOLLOW]
 
 
-def test_an_old_target_is_shown_first_and_flown_to_after_confirm():
+def test_an_old_target_is_proposed_first_and_followed_after_confirm():
     desk = Desk()
     desk.draw()
     desk.at(1.1 + DRAWN_S, Mode.READY)
@@ -100,7 +100,7 @@ def test_one_console_commands_and_stop_works_from_all():
     assert desk.order("follow", GROUND).done
 
 
-def test_a_silent_commander_commands_no_longer():
+def test_a_silent_console_loses_the_command():
     desk = Desk()
     desk.draw(PAGE)
     desk.at(2.0 + SILENT_S, Mode.READY)
@@ -108,7 +108,7 @@ def test_a_silent_commander_commands_no_longer():
     assert desk.consoles.commander == GROUND
 
 
-def test_a_changed_target_is_looked_at_until_follow_is_ordered_again():
+def test_a_changed_target_is_only_tracked_until_follow_is_ordered_again():
     desk = Desk()
     desk.draw()
     desk.at(2.0, Mode.READY)
@@ -122,7 +122,7 @@ def test_a_changed_target_is_looked_at_until_follow_is_ordered_again():
     assert desk.consoles.wanted == AS_SET
 
 
-def test_hold_hovers_and_keeps_the_vehicle_and_an_end_forgets_what_was_wanted():
+def test_hold_hovers_in_control_and_an_end_resets_the_chosen_geometry():
     desk = Desk()
     desk.draw()
     desk.at(2.0, Mode.FOLLOW)
@@ -134,7 +134,7 @@ def test_hold_hovers_and_keeps_the_vehicle_and_an_end_forgets_what_was_wanted():
 
 
 @given(st.lists(st.sampled_from(["nearer", "farther", "higher", "lower", "left", "right", "orbit", "chase"])))
-def test_trims_stay_bounded_and_the_move_to_the_side_ends(presses):
+def test_trims_stay_bounded_and_the_sideways_move_ends(presses):
     desk = Desk()
     desk.draw()
     t_s = 2.0
@@ -150,7 +150,7 @@ def test_trims_stay_bounded_and_the_move_to_the_side_ends(presses):
     assert desk.ordered() == [], "a trim is no order"
 
 
-def test_a_trim_stops_at_the_nearest_that_is_kept_says_why_and_is_not_wound_up():
+def test_a_trim_stops_at_the_nearest_permitted_distance_gives_the_reason_and_does_not_wind_up():
     desk = Desk(standoff_m=12.0, nearest=KeptStandoff(9.0, "nearer, its feet leave the image"))
     desk.draw()
     desk.at(2.0, Mode.FOLLOW)
@@ -161,7 +161,7 @@ def test_a_trim_stops_at_the_nearest_that_is_kept_says_why_and_is_not_wound_up()
     assert "stand-off 10 m," in desk.order("farther").words, "one press back acts at once"
 
 
-def test_what_is_proposed_is_the_stand_off_that_will_be_kept():
+def test_the_proposed_stand_off_is_the_one_that_will_be_kept():
     desk = Desk(standoff_m=12.0)
     assert desk.consoles.proposal().startswith("chase at 12 m")
     desk.consoles.kept = lambda: KeptStandoff(18.0, "the target is far below")
@@ -193,7 +193,7 @@ class Ears:
         self.values.append((name, value, t_s))
 
 
-def test_the_pilot_is_told_what_changes_at_most_once_a_second_in_fifty_letters():
+def test_the_pilot_is_told_of_changes_at_most_once_a_second_in_fifty_characters():
     ears = Ears()
     texts = PilotTexts(ears)
     sent = 0
@@ -211,7 +211,7 @@ def test_the_pilot_is_told_what_changes_at_most_once_a_second_in_fifty_letters()
     assert 55 <= len([1 for name, _value, _t in ears.values if name == "flw_range"]) <= 61
 
 
-def test_a_blink_of_the_tracker_is_no_news():
+def test_a_momentary_loss_is_not_reported():
     ears = Ears()
     texts = PilotTexts(ears)
     for k in range(100):
@@ -219,7 +219,7 @@ def test_a_blink_of_the_tracker_is_no_news():
     assert not any("lost" in text for text, _severity in ears.texts)
 
 
-def test_nobody_on_an_open_network_chooses_a_target_unless_allowed_or_orders_follow_by_drawing():
+def test_an_open_ground_address_needs_ground_unsigned_and_excludes_ground_follows():
     command = RunCommand(link="udpin:127.0.0.1:1", camera="scene:walker", ground_follows=True)
     check(replace(command, ground="udpin:127.0.0.1:5"))
     check(replace(command, ground="udpin:0.0.0.0:5", ground_follows=False, ground_unsigned=True))
@@ -291,7 +291,7 @@ def test_link_and_ground_on_one_port_are_refused_before_anything_starts(link, gr
 
 
 @pytest.mark.parametrize("follows", [False, True])
-def test_a_tap_that_finds_nothing_flies_to_nothing(follows):
+def test_a_tap_that_finds_nothing_orders_nothing(follows):
     desk = Desk(follows=follows)
     desk.draw()
     desk.ordered()
@@ -316,7 +316,7 @@ def test_a_tap_that_finds_something_counts_as_drawn():
     assert desk.order("follow").done
 
 
-def test_a_stop_goes_before_the_orders_that_wait():
+def test_a_stop_precedes_queued_orders():
     desk = Desk()
     desk.draw()
     desk.at(2.0, Mode.READY)

@@ -43,7 +43,7 @@ def frame(n: int) -> Frame:
     return Frame(IMAGE, n * ROUND_S, n)
 
 
-def test_in_a_simulation_an_answer_comes_its_delay_later_and_names_its_frame():
+def test_in_a_simulation_a_result_comes_its_delay_later_and_names_its_frame():
     asked, came = [], {}
 
     def find(_image):
@@ -63,7 +63,7 @@ def test_in_a_simulation_an_answer_comes_its_delay_later_and_names_its_frame():
     assert gaps.max() < 0.5 + 1e-9, "two frames a second at least"
 
 
-def test_what_is_too_old_vanishes():
+def test_detections_that_are_too_old_are_dropped():
     detector = DelayedDetector(lambda _image: ())
     detector.update(frame(0), 0.0)
     times = [n * ROUND_S for n in range(60)]
@@ -71,7 +71,7 @@ def test_what_is_too_old_vanishes():
     assert known == [t for t in times if DELAY_S <= t <= DETECTIONS_S]
 
 
-def test_a_network_that_fails_is_told_and_the_simulation_goes_on(caplog):
+def test_a_network_that_fails_is_reported_and_the_simulation_goes_on(caplog):
     def fails(_image):
         raise ValueError("no such layer")
 
@@ -119,7 +119,7 @@ def failures(caplog):
     return [message for message in caplog.messages if message.startswith("the detector failed")]
 
 
-def test_a_process_that_dies_is_told_once_and_the_flight_goes_on(file, caplog):
+def test_a_process_that_dies_is_reported_once_and_the_flight_goes_on(file, caplog):
     with caplog.at_level(logging.WARNING), DetectorProcess(file) as detector:
         _, n = until(detector)
         detector._process.kill()
@@ -163,7 +163,7 @@ def is_running(pid: int) -> bool:
         return False
 
 
-def test_a_network_that_fails_in_the_process_is_told_once_and_it_works_again_afterwards(file, caplog):
+def test_a_network_that_fails_in_the_process_is_reported_once_and_works_again_afterwards(file, caplog):
     with DetectorProcess(file) as detector:
         bad = np.zeros((4, 4, 2), np.uint8)  # an image of no known kind
         assert detector.snap(bad, 1, 1) is None
@@ -172,7 +172,7 @@ def test_a_network_that_fails_in_the_process_is_told_once_and_it_works_again_aft
     assert len(failures(caplog)) == 1
 
 
-def test_a_process_that_is_stopped_keeps_nobody_from_ending(file):
+def test_a_stopped_process_does_not_keep_the_program_from_ending(file):
     with DetectorProcess(file) as detector:
         pid = detector._process.pid
         os.kill(pid, signal.SIGSTOP)
@@ -200,7 +200,7 @@ def answered(detector, n, t_s):
     detector.update(None, t_s)
 
 
-def test_a_detector_that_is_too_slow_is_told_so_once(file, caplog):
+def test_a_detector_that_is_too_slow_is_reported_once(file, caplog):
     with DetectorProcess(file) as detector:
         answered(detector, 0, 8.0)  # the process starts meanwhile
         assert not caplog.messages
@@ -212,7 +212,7 @@ def test_a_detector_that_is_too_slow_is_told_so_once(file, caplog):
     assert line.startswith("the detector is too slow: it found boxes 2.3 s after their frame")
 
 
-def test_a_detector_that_does_not_answer_is_told_so_once(file, caplog):
+def test_a_detector_that_does_not_answer_is_reported_once(file, caplog):
     with DetectorProcess(file) as detector:
         os.kill(detector._process.pid, signal.SIGSTOP)
         for n in range(1000):

@@ -66,14 +66,14 @@ def made(tmp_path):
 
 
 @FAMILIES
-def test_every_family_gives_the_boxes_and_scores_that_were_put_in(family, made):
+def test_every_detector_family_returns_the_encoded_boxes_and_scores(family, made):
     found = sorted(made(family(OBJECTS)).detect(np.zeros((SIDE, SIDE, 3), np.uint8)), key=lambda d: -d.score)
     for detection, (box, score) in zip(found, sorted(OBJECTS, key=lambda o: -o[1]), strict=True):
         assert detection.box.iou(box) > 0.99
         assert detection.score == pytest.approx(score * (0.95 if family is yolox else 1.0), abs=1e-3)
 
 
-def test_of_a_flood_of_boxes_the_likeliest_are_considered(made):
+def test_of_too_many_boxes_the_best_scores_are_kept(made):
     scores = np.linspace(0.3, 0.9, 50_000)
     flood = np.zeros((1, 1, 50_000, 7), np.float32)
     flood[0, 0, :, 2] = scores
@@ -101,7 +101,7 @@ def test_a_network_that_is_not_there_is_named():
 
 
 @FAMILIES
-def test_a_click_becomes_the_likeliest_box_at_its_place_in_the_images_pixels(family, made):
+def test_a_click_gives_the_best_box_at_its_place_in_the_images_pixels(family, made):
     snap = made(family(OBJECTS)).snap
     scale = WINDOW * IMAGE.shape[0] / SIDE
     x, y = 320.0, 200.0
@@ -129,7 +129,7 @@ def test_numbers_that_are_no_box_or_no_score_are_left_out(bad, made):
     assert len(made(output).detect(np.zeros((SIDE, SIDE, 3), np.uint8))) == 2
 
 
-def test_a_whole_image_is_looked_at_in_squares_and_each_object_comes_once(made):
+def test_a_whole_image_is_searched_in_tiles_and_each_object_is_returned_once(made):
     """The network says the same of each square: three boxes in each of two, of which two are nearly the same."""
     again = Box(61.0, 51.0, 40.0, 60.0), 0.6
     found = made(yolov8([*OBJECTS, again])).find(IMAGE)
@@ -145,7 +145,7 @@ def test_a_whole_image_is_looked_at_in_squares_and_each_object_comes_once(made):
         assert max(detection.box.iou(b) for b, s in want if s == score) > 0.99
 
 
-def test_of_an_object_that_a_square_cuts_off_only_the_whole_box_is_left(made):
+def test_of_an_object_cut_by_a_tile_only_the_whole_box_is_kept(made):
     """Its left part is at the left border of the second square; the first one shows it whole."""
     scale = 360 / SIDE
     part, whole = Box(0.5, 40.0, 20.0, 60.0), Box(280 / scale - 8.0, 40.0, 30.0, 60.0)
@@ -156,7 +156,7 @@ def test_of_an_object_that_a_square_cuts_off_only_the_whole_box_is_left(made):
 
 
 @pytest.mark.parametrize(("rows", "columns"), [(360, 640), (640, 360), (480, 480), (200, 1300), (1080, 1920)])
-def test_the_squares_cover_the_image_and_lie_in_it(rows, columns):
+def test_the_tiles_cover_the_image_and_lie_in_it(rows, columns):
     seen = np.zeros((rows, columns), bool)
     for left, top, side in squares(rows, columns):
         assert side == min(rows, columns)
@@ -210,7 +210,7 @@ def test_a_file_that_is_no_detector_is_refused_in_one_sentence(data, why, tmp_pa
 UNKNOWN = field(7, field(1, node("NoSuchOperator", ["x"], "y")) + field(11, value("x", (1, 3, SIDE, SIDE))))
 
 
-def test_a_network_that_opencv_cannot_run_is_refused_with_what_can(tmp_path, monkeypatch):
+def test_a_network_that_opencv_cannot_run_is_refused_with_the_alternative(tmp_path, monkeypatch):
     path = tmp_path / "network.onnx"
     path.write_bytes(UNKNOWN)
     monkeypatch.setattr(detector, "has_onnx_runtime", lambda: False)

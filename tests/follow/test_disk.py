@@ -155,7 +155,7 @@ class SmallFile(StalledFile):
         self.content += data
 
 
-def test_a_disk_that_is_gone_is_not_called_full_and_its_error_is_told(tmp_path):
+def test_a_disk_that_is_gone_is_not_called_full_and_its_error_is_reported(tmp_path):
     gone = OSError(errno.EIO, "Input/output error")
     assert unwritten(tmp_path / "unplugged" / "ticks.csv", gone).endswith("Input/output error; the flight goes on")
     assert "is full" in unwritten(tmp_path / "ticks.csv", full_disk())

@@ -36,9 +36,7 @@ from tests.support.gate_rig import DT, LIMITS, engaged, fly, flying, obeyed, see
 
 
 @given(st.floats(-20, 20), st.floats(-3, 3), st.floats(0.1, 100), st.floats(0, 30), st.floats(2, 30), st.floats(-7, 7))
-def test_closing_in_stops_before_the_stand_off_were_the_target_as_near_as_it_may_be(
-    speed, azimuth, away, std, height, toward
-):
+def test_approach_stops_at_the_stand_off_of_the_nearest_possible_range(speed, azimuth, away, std, height, toward):
     """Referee: the relative motion along the sight, braked at half the limit, ends outside the stand-off."""
     north, east = -toward * math.cos(azimuth), -toward * math.sin(azimuth)
     estimate = replace(seen(0.0), azimuth_rad=azimuth, range_m=away, range_std_m=std, north_m_s=north, east_m_s=east)
@@ -56,7 +54,7 @@ def test_closing_in_stops_before_the_stand_off_were_the_target_as_near_as_it_may
 
 
 @given(st.floats(0.0, 30.0), st.floats(0.0, 10.0), st.floats(-7.0, 7.0))
-def test_the_height_that_is_needed_keeps_the_stand_off_at_the_nearest_point(away, above, toward):
+def test_the_required_height_keeps_the_stand_off_at_the_nearest_point(away, above, toward):
     estimate = replace(seen(0.0), range_m=away, range_std_m=0.0, north_m_s=-toward)
     state = flying(0.0, down_m=-2.0 - above)
     target = worst(estimate, state, LIMITS)
@@ -108,7 +106,7 @@ def test_a_target_that_comes_nearer_makes_the_gate_retreat_and_climb_against_the
 
 
 @given(st.floats(0.0, 40.0), st.sampled_from([(SPRINT_M_S, SPRINT_STANDOFF_M), (JOG_M_S, LIMITS.min_standoff_m)]))
-def test_from_the_height_that_a_run_needs_the_stand_off_is_kept(away, run):
+def test_from_the_height_that_a_run_requires_the_stand_off_is_kept(away, run):
     """Referee: the climb step by step, with the delay, until the runner is below."""
     speed, least = run
     above = sprint_above_m(away, LIMITS)
@@ -127,7 +125,7 @@ def test_from_the_height_that_a_run_needs_the_stand_off_is_kept(away, run):
     st.floats(0.0, 4.0),
     st.sampled_from([(SPRINT_M_S, SPRINT_STANDOFF_M), (JOG_M_S, LIMITS.min_standoff_m)]),
 )
-def test_who_runs_unseen_is_evaded_upward_from_the_height_that_a_run_needs(away, higher, run):
+def test_an_unseen_runner_is_evaded_upward_from_the_height_that_a_run_requires(away, higher, run):
     """Referee: the climb step by step, noticed after 0.15 s, by a vehicle with a lag of 0.6 s."""
     speed, least = run
     above = sprint_above_m(away, LIMITS) + higher
@@ -150,7 +148,7 @@ def test_who_runs_unseen_is_evaded_upward_from_the_height_that_a_run_needs(away,
 
 
 @given(st.floats(0.0, 40.0), st.floats(-math.pi, math.pi), st.floats(0.0, 4.0), st.floats(0.0, 6.0), st.floats(-7, 7))
-def test_who_walks_unseen_is_kept_from_as_one_who_is_seen_to_walk(away, sight, unseen_s, above, toward):
+def test_the_closing_speed_to_an_unseen_walker_is_that_to_a_visible_one(away, sight, unseen_s, above, toward):
     """Referee: the stand-off towards somebody who was seen there and has walked towards the vehicle since."""
     state = flying(unseen_s, down_m=-above)
     place = away * math.cos(sight), away * math.sin(sight)
@@ -163,7 +161,7 @@ def test_who_walks_unseen_is_kept_from_as_one_who_is_seen_to_walk(away, sight, u
 
 
 @pytest.mark.parametrize(("jump_m", "mode_s"), [(0.0, 2.0), (0.0, 8.0), (-5.0, 2.0)])
-def test_a_low_vehicle_whose_target_is_lost_climbs_over_whoever_comes_and_no_further(jump_m, mode_s):
+def test_a_low_vehicle_whose_target_is_lost_climbs_above_an_approaching_person_and_no_further(jump_m, mode_s):
     """Also in SEARCH, and when the autopilot's height jumps; as before it does not flee from a guess."""
     safety, t_s = engaged(down_m=-3.0)
     high_m, down, reset, notes = 3.0, -3.0, {}, set()
@@ -186,7 +184,7 @@ def test_a_low_vehicle_whose_target_is_lost_climbs_over_whoever_comes_and_no_fur
 
 
 @pytest.mark.parametrize(("shows_s", "hides_s"), [(0.1, 1.0), (0.4, 2.6), (0.6, 6.0), (2.0, 6.0)])
-def test_glimpses_of_something_level_with_the_vehicle_do_not_lead_it_up(shows_s, hides_s):
+def test_repeated_short_sightings_at_the_vehicles_own_height_cause_only_a_bounded_climb(shows_s, hides_s):
     """A box that is fixed in the image, or a far thing: each time that it is lost its head seems to be right here."""
     safety, t_s = engaged(down_m=-6.0)
     down, seen_s, head_m, highest = -6.0, t_s, 6.0, 6.0
@@ -206,7 +204,7 @@ def test_glimpses_of_something_level_with_the_vehicle_do_not_lead_it_up(shows_s,
 
 
 @pytest.mark.parametrize("limit", [{"ceiling_m": 5.0}, {"above_target_m": 2.0}])
-def test_the_climb_over_who_is_not_seen_ends_at_the_limits_and_is_told_so(limit):
+def test_the_climb_above_an_unseen_target_ends_at_the_limits_and_is_reported(limit):
     """Also in SEARCH, where the target may be anywhere along the ground, but no deeper than it was."""
     safety, t_s = engaged(down_m=-3.0)
     safety.limits = replace(LIMITS, **limit)
@@ -259,7 +257,7 @@ def test_a_climb_ends_at_its_height_above_the_target():
     assert HELD["altitude"] in high.notes
 
 
-def test_a_vehicle_that_does_not_fly_what_is_sent_is_left_to_its_autopilot():
+def test_control_of_a_vehicle_that_does_not_follow_setpoints_is_given_up():
     safety, t_s = engaged()
     standing = fly(safety, t_s, 10.0, Setpoint(4.0), north_m_s=0.0, east_m_s=0.0)
     causes = list(dict.fromkeys(d.reason.cause for d in standing))
@@ -280,7 +278,7 @@ def test_a_vehicle_that_lags_or_drifts_as_real_ones_do_obeys():
     assert decision.mode is Mode.FOLLOW
 
 
-def test_what_is_remembered_moves_with_the_autopilots_origin():
+def test_stored_positions_move_with_the_autopilots_origin():
     safety, t_s = engaged()
     place, centre = safety.gate.last_seen, safety.gate.fence_centre
     moved = {"resets": 1, "reset_north_m": 5.0, "reset_east_m": -2.0, "north_m": 5.0, "east_m": -2.0}
@@ -290,7 +288,7 @@ def test_what_is_remembered_moves_with_the_autopilots_origin():
     assert safety.gate.fence_centre == pytest.approx((centre[0] + 5.0, centre[1] - 2.0))
 
 
-def test_an_origin_that_moves_before_anything_is_remembered_moves_nothing():
+def test_an_origin_that_moves_before_any_position_is_stored_changes_nothing():
     safety = Safety()
     safety.allow(HOVER, seen(0.0), flying(0.0, resets=1, reset_north_m=5.0), 0.0)
     assert safety.gate.resets == 1
@@ -298,7 +296,7 @@ def test_an_origin_that_moves_before_anything_is_remembered_moves_nothing():
 
 
 @given(st.floats(-3, 3), st.floats(0, 100), st.floats(0, 30), st.floats(-7, 7), st.floats(-0.5, 0.5), st.floats(0, 6.3))
-def test_a_drift_towards_the_target_is_taken_off(azimuth, away, height, toward, drift, course):
+def test_a_drift_towards_the_target_is_compensated(azimuth, away, height, toward, drift, course):
     """The position, which moves by velocity and drift, closes in no faster than without one; it needs the height."""
     north, east = -toward * math.cos(azimuth), -toward * math.sin(azimuth)
     still = replace(seen(0.0), azimuth_rad=azimuth, range_m=away, north_m_s=north, east_m_s=east)
@@ -329,7 +327,7 @@ def test_the_stand_off_that_the_clear_distance_of_a_cyclist_or_car_needs(speed, 
     )
 
 
-def test_the_fence_is_about_home_and_does_not_move_with_orders():
+def test_the_fence_is_centred_on_home_and_does_not_move_with_orders():
     home = {"home_t_s": 0.0, "home_north_m": -290.0}
     safety, t_s = engaged(**home)
     out = fly(safety, t_s, 4.0, Setpoint(3.0), north_m=10.5, **home)[-1].setpoint
@@ -372,7 +370,7 @@ def outrun(fence_m=300.0, run_m_s=9.0, seconds=120.0):
     return changes, target - north
 
 
-def test_a_target_that_outruns_the_vehicle_is_told_and_given_up_in_hold_which_ends():
+def test_a_target_that_outruns_the_vehicle_is_reported_and_given_up_in_hold_which_ends():
     changes, _ = outrun()
     assert [change[1] for change in changes] == ["follow", "follow", "hold", "ended"]
     assert [change[2] for change in changes][1:] == [Cause.OUT_OF_REACH, Cause.OUT_OF_REACH, Cause.HOLD_OVER]
@@ -387,7 +385,7 @@ def test_a_target_beyond_the_fence_is_followed_at_a_distance_and_taken_again():
     assert ("follow", Cause.OUT_OF_REACH) in [change[1:] for change in changes]
 
 
-def test_a_target_that_is_caught_up_with_at_the_speed_limit_is_in_reach():
+def test_a_target_that_the_vehicle_approaches_at_the_speed_limit_is_in_reach():
     changes, range_m = outrun(fence_m=1000.0, run_m_s=7.0, seconds=55.0)
     assert [change[1] for change in changes] == ["follow"]
     assert range_m < 20.0

@@ -35,14 +35,14 @@ def flown(drift, seconds=6.0, noise_m=0.0, reset_m=0.0):
 
 
 @given(st.tuples(*[st.floats(-0.5, 0.5)] * 3))
-def test_a_steady_drift_is_learnt_within_seconds_whatever_the_vehicle_flies(drift):
+def test_a_steady_drift_is_estimated_within_seconds_in_any_flight(drift):
     history, v = flown(np.array(drift))
     assert history.drift.velocity == pytest.approx(drift, abs=0.02 + 0.05 * float(np.linalg.norm(drift)))
     pose = history.at(6.0 - 1 / RATE_HZ)
     assert [pose.north_m_s, pose.east_m_s, pose.down_m_s] == pytest.approx(v + history.drift.velocity)
 
 
-def test_noise_of_the_positions_makes_little_drift():
+def test_noise_of_the_positions_causes_little_estimated_drift():
     history, _ = flown(np.zeros(3), noise_m=0.05)
     assert np.linalg.norm(history.drift.velocity) < 0.15
 
@@ -71,7 +71,7 @@ def test_a_vehicle_that_flies_by_a_wrong_velocity_keeps_stand_off_and_height_as_
     assert np.std(heights) < 0.2
 
 
-def test_a_state_that_is_not_finite_says_nothing():
+def test_a_state_that_is_not_finite_is_ignored():
     """A link of one's own may pass anything on; one such state must not spoil all that comes after."""
     drift = Drift()
     for n in range(90):

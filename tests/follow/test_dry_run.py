@@ -29,7 +29,7 @@ def packed(message) -> bytes:
 
 
 @pytest.mark.parametrize("name", MOVING)
-def test_what_moves_a_vehicle_does_not_pass(name):
+def test_a_dry_run_blocks_messages_that_move_the_vehicle(name):
     message = getattr(dialect, f"MAVLink_{name.lower()}_message")(*MOVING[name])
     assert not moves_nothing(packed(message))
 
@@ -51,7 +51,7 @@ def test_the_hand_written_command_is_the_packed_one():
 
 
 @pytest.mark.parametrize("autopilot", Autopilot)
-def test_follow_is_pretended_until_the_vehicles_mode_changes_and_nothing_moving_is_sent(autopilot):
+def test_a_dry_run_pretends_follow_until_the_mode_changes_and_sends_no_setpoint(autopilot):
     mailbox = Mailbox()
     link = DryRunLink(mailbox)
     pair = Pair(autopilot)
@@ -78,7 +78,7 @@ def test_follow_is_pretended_until_the_vehicles_mode_changes_and_nothing_moving_
         assert message.get_type() != "COMMAND_LONG" or message.command in TELEMETRY
 
 
-def test_the_gate_flies_on_paper_what_it_would_have_sent():
+def test_in_a_dry_run_the_gate_reaches_follow_and_decides_setpoints():
     safety, engaged = Safety(LIMITS), False
     safety.order(Order.FOLLOW)
     modes = []

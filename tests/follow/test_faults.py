@@ -47,14 +47,14 @@ def test_every_stop_of_the_matrix_has_a_bound_of_the_page():
 
 
 @pytest.mark.parametrize(("row", "autopilot"), PAIRS, ids=[f"{row.name}, {a.value}" for row, a in PAIRS])
-def test_a_fault_ends_as_it_must(row: Row, autopilot: Autopilot):
+def test_a_lockstep_row_of_the_fault_matrix_passes(row: Row, autopilot: Autopilot):
     result = row.fly(autopilot)
     assert not result.wrong, (result.wrong, result.outcome, result.lines)
 
 
 @pytest.mark.realtime
 @pytest.mark.parametrize("row", [row for row in PROCESS_ROWS if row.fast], ids=lambda row: row.name)
-def test_a_fault_of_the_process_ends_as_it_must(row: ProcessRow, tmp_path, monkeypatch):
+def test_a_process_row_of_the_fault_matrix_passes(row: ProcessRow, tmp_path, monkeypatch):
     monkeypatch.setitem(os.environ, "MAVLINK20", "1")
     measured, mode, wrong = row.fly(row.rules[0], tmp_path)
     assert not wrong, (measured, mode)

@@ -19,7 +19,7 @@ class Standing(Rig):
 
 
 @BOTH
-def test_an_order_after_minutes_of_watching_is_flown_like_an_early_one(autopilot):
+def test_an_order_after_minutes_of_observing_is_flown_like_an_early_one(autopilot):
     rig = Standing(autopilot, lambda rig: rig.operator.order(Order.FOLLOW), fault_t_s=120.0, end_t_s=145.0)
     rig.operator.at_once = False
     rig.fly()
@@ -60,7 +60,7 @@ class Passing(Rig):
 
 
 @BOTH
-def test_with_a_sight_the_order_starts_on_what_is_in_the_box_then(autopilot):
+def test_with_a_fixed_box_the_order_starts_on_its_content_at_that_time(autopilot):
     rig = Passing(autopilot, lambda rig: rig.operator.order(Order.FOLLOW), fault_t_s=20.0, end_t_s=30.0)
     rig.operator.at_once = False
     told: list[Box] = []

@@ -290,7 +290,7 @@ def test_a_live_flights_recording_is_not_written_over(capfd, brief, footage, tmp
     assert not (tmp_path / "flight.tlog").exists()
 
 
-def test_what_a_person_chose_stands_above_what_the_scenario_suggests(capfd, brief, tmp_path):
+def test_settings_of_the_user_override_those_of_the_scenario(capfd, brief, tmp_path):
     words = ("sim", brief, "--out", tmp_path, "--json", "--servo.standoff-m", "20", "--record.no-pictures")
     status, out, err = follow(capfd, *words)
     assert status == 0, err
@@ -298,7 +298,7 @@ def test_what_a_person_chose_stands_above_what_the_scenario_suggests(capfd, brie
     assert not (tmp_path / "flight.rrd").exists()
 
 
-def test_a_limit_that_a_person_gave_stands_although_it_is_the_default(capfd, brief, tmp_path, monkeypatch):
+def test_a_limit_given_by_the_user_counts_although_it_equals_the_default(capfd, brief, tmp_path, monkeypatch):
     monkeypatch.setitem(SCENARIOS, brief, replace(SCENARIOS[brief], limits={"speed_m_s": 12.0, "fence_m": 600.0}))
     mine = tmp_path / "mine.toml"
     mine.write_text(f"[limits]\nfence_m = {Limits().fence_m}\n")
@@ -311,7 +311,7 @@ def test_a_limit_that_a_person_gave_stands_although_it_is_the_default(capfd, bri
         assert (limits["speed_m_s"], limits["fence_m"]) == wanted
 
 
-def test_more_pictures_than_annotated_rows_are_said(capfd, footage, tmp_path):
+def test_more_images_than_annotated_rows_are_reported(capfd, footage, tmp_path):
     truth = footage.with_suffix(".txt")
     short = tmp_path / "short.txt"
     short.write_text("".join(truth.read_text().splitlines(keepends=True)[:5]))
@@ -320,7 +320,7 @@ def test_more_pictures_than_annotated_rows_are_said(capfd, footage, tmp_path):
     assert "but 5 annotated rows" in err
 
 
-def test_a_truth_that_is_no_text_is_named(capfd, footage, tmp_path):
+def test_an_annotation_file_that_is_no_text_is_named(capfd, footage, tmp_path):
     status, _, err = follow(capfd, "replay", footage, "--truth", footage, "--out", tmp_path)
     assert status == 1
     assert str(footage) in err
@@ -359,7 +359,7 @@ def test_a_terminal_that_was_closed_is_no_failure(monkeypatch):
             result({"frames": 3}, as_json=as_json)
 
 
-def test_a_refused_start_leaves_the_last_flight_where_it_is_and_says_what_it_waits_for(capfd, tmp_path, monkeypatch):
+def test_a_refused_start_keeps_the_last_flight_and_names_what_it_waits_for(capfd, tmp_path, monkeypatch):
     monkeypatch.setattr(cli_run, "VEHICLE_S", 0.3)
     monkeypatch.setattr(connection, "WAITING_EVERY_S", 0.1)
     left = {name: f"the last flight's {name}" for name in FILES}
@@ -389,7 +389,7 @@ def test_a_stand_off_that_contradicts_the_altitude_band_is_refused_before_anythi
 
 
 @pytest.mark.parametrize(("down_deg", "standoff_m", "height_m"), [(30.0, 12.0, 7), (45.0, 20.0, 20), (27.0, 22.0, 11)])
-def test_the_height_that_follows_from_stand_off_and_angle_is_said(down_deg, standoff_m, height_m):
+def test_the_height_that_follows_from_stand_off_and_angle_is_reported(down_deg, standoff_m, height_m):
     config = Config(CameraConfig(down_deg=down_deg), servo=ServoConfig(standoff_m=standoff_m))
     why = f"{standoff_m:g} m away with the camera {down_deg:.0f} degrees below the nose"
     assert cli_run.height_line(config) == f"will fly about {height_m} m above the target: {why}"

@@ -119,12 +119,12 @@ WRONG = {
 
 
 @pytest.mark.parametrize("name", WRONG)
-def test_a_servo_that_does_nothing_or_the_wrong_thing_fails(name):
+def test_a_servo_that_does_nothing_or_has_a_wrong_sign_fails_these_tests(name):
     _, figures = flown("walker", servo=WRONG[name])
     assert not good(figures), figures
 
 
-def test_with_compensation_pictures_400_ms_old_cost_little_and_without_they_cost_much():
+def test_with_compensation_images_400_ms_old_cost_little_and_without_they_cost_much():
     _, (in_view, compensated, _) = flown("cyclist-latency-400")
     _, (_, uncompensated, _) = flown("cyclist-latency-400", compensate=False)
     assert in_view >= 0.98
@@ -132,7 +132,7 @@ def test_with_compensation_pictures_400_ms_old_cost_little_and_without_they_cost
 
 
 @pytest.mark.parametrize(("seconds", "seen_modes"), [(3.0, {"follow", "coast"}), (6.0, {"follow", "coast", "search"})])
-def test_a_walker_hidden_for_a_while_is_taken_up_again(seconds, seen_modes):
+def test_a_walker_hidden_for_a_while_is_followed_again(seconds, seen_modes):
     ticks, (in_view, *_) = flown("walker", hidden_s=(12.0, 12.0 + seconds))
     assert {tick.decision.mode for tick in ticks} == seen_modes
     assert ticks[-1].decision.mode == "follow"

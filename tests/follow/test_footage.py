@@ -50,7 +50,7 @@ def test_the_hidden_files_that_macos_leaves_beside_each_image_are_passed_over(tm
     assert (len(frames), lines) == (5, [])
 
 
-def test_the_rate_that_a_folders_path_tells_counts_from_within_it_too(tmp_path, monkeypatch):
+def test_the_rate_in_a_folders_path_also_counts_from_inside_the_folder(tmp_path, monkeypatch):
     inside = tmp_path / "UAV_10fps" / "seq"
     inside.mkdir(parents=True)
     monkeypatch.chdir(folder_of(inside, range(1, 4)))
@@ -58,14 +58,14 @@ def test_the_rate_that_a_folders_path_tells_counts_from_within_it_too(tmp_path, 
         assert camera.fps == 10.0
 
 
-def test_a_hole_in_the_numbers_is_rounds_without_a_picture_and_one_line(tmp_path):
+def test_a_gap_in_the_numbers_gives_rounds_without_an_image_and_one_line(tmp_path):
     frames, lines = play(folder_of(tmp_path, (1, 2, 3, 6, 7)))
     assert [f is None for f in frames] == [False, False, False, True, True, False, False]
     assert lines == [f"{tmp_path.name}: 2 frames are missing (2 not there, first before 006.png)"]
     assert [f.index for f in frames if f] == [0, 1, 2, 5, 6]
 
 
-def test_numbers_that_do_not_count_pictures_are_only_an_order(tmp_path):
+def test_numbers_that_do_not_count_images_are_only_an_order(tmp_path):
     frames, lines = play(folder_of(tmp_path, (0, 33, 66, 30), name="100000{:03d}.png"))
     assert len(frames) == 4
     assert not lines
@@ -87,7 +87,7 @@ def test_an_image_of_another_size_is_skipped_with_one_line(tmp_path):
     assert lines == [f"{tmp_path.name}: 1 frame is missing (1 of another size, first 001.png)"]
 
 
-def test_what_is_missing_is_summed_up_in_one_line_even_if_the_flight_ends_early(tmp_path):
+def test_missing_frames_are_counted_in_one_line_even_if_the_flight_ends_early(tmp_path):
     folder_of(tmp_path, (*range(5), *range(8, 20)))
     for n in (2, 3, 10):
         (tmp_path / f"{n:03d}.png").write_bytes(b"no frame")
@@ -131,7 +131,7 @@ def test_between_two_frames_that_are_far_apart_rounds_go_on_at_the_nominal_rate(
     assert [f.index for _, f in rounds if f] == list(range(10))
 
 
-def test_the_pretended_vehicle_flies_by_the_times_of_the_frames(tmp_path):
+def test_the_replayed_vehicle_flies_by_the_times_of_the_frames(tmp_path):
     path = encode(tmp_path / "a.mkv", map(numbered, range(10)), stamps_s=STAMPS_S, rate=25)
     with open_replay(str(path), None, print) as camera, ReplayLink(30.0, 10.0, now=lambda: camera.t_s) as link:
         for frame in camera.frames():
@@ -180,7 +180,7 @@ def test_a_video_that_ends_early_says_so_in_one_line(tmp_path):
     assert lines == [f"clip.avi: {rest} frames are missing ({rest} after the end of the file, first {first})"]
 
 
-def test_a_pipeline_of_gstreamer_is_told_how_to_be_given():
+def test_a_gstreamer_pipeline_as_a_name_is_refused_with_the_right_form():
     with pytest.raises(CameraError, match=r"exec:gst-launch-1\.0 -q v4l2src ! fdsink"):
         open_replay("v4l2src ! appsink", None, print)
 

@@ -45,7 +45,7 @@ def test_however_slow_the_rounds_it_brakes_as_hard(round_s, speed_m_s):
 
 
 @pytest.mark.parametrize("round_s", [0.03, 0.1, 0.15, 0.2, 0.3, 0.45])
-def test_it_stands_before_a_target_that_vanished_however_slow_the_rounds(round_s):
+def test_it_stops_in_front_of_a_target_that_vanished_however_slow_the_rounds(round_s):
     safety, t_s, north_m, gone_s, place_m, farthest_m = Safety(LIMITS), 0.0, 0.0, None, 12.0, 0.0
     safety.order(Order.FOLLOW)
     while t_s < 60.0:
@@ -78,7 +78,7 @@ def test_a_program_that_is_slow_all_the_time_is_noted_and_one_long_round_is_not(
 @pytest.mark.parametrize(
     "where", [{"north_m": 500.0}, {"down_m": -150.0}, {"above_ground_m": 0.5}], ids=["fence", "ceiling", "floor"]
 )
-def test_what_ends_following_ends_it_beyond_any_border(cause, where):
+def test_a_reason_to_stop_ends_following_also_outside_the_limits(cause, where):
     """No border may keep the vehicle moving, and the stream alive, after the reason to stop."""
     safety, t_s = engaged(home_t_s=0.0, rc_healthy=True)
     moved_m = 0.0
@@ -116,7 +116,7 @@ def test_below_the_floor_and_above_the_ceiling_at_once_it_keeps_its_height():
         assert limit_altitude(down, UNKNOWN, state, LIMITS) == 0.0
 
 
-def test_a_sighting_in_the_future_is_no_sighting():
+def test_a_sighting_in_the_future_is_ignored():
     safety, t_s = engaged()
     for _ in range(round(5.0 / DT)):
         t_s += DT
@@ -126,7 +126,7 @@ def test_a_sighting_in_the_future_is_no_sighting():
 
 
 @pytest.mark.parametrize("start_s", [0.0, 1e-9, 5.0])
-def test_it_gets_ready_whenever_the_clock_begins(start_s):
+def test_the_gate_gets_ready_for_any_start_of_the_clock(start_s):
     safety = Safety(LIMITS)
     for i in range(round((LIMITS.ready_after_s + 1.0) / DT)):
         t_s = start_s + i * DT
@@ -136,7 +136,7 @@ def test_it_gets_ready_whenever_the_clock_begins(start_s):
 
 
 @pytest.mark.parametrize("speed_m_s", [1.4, 2.5, 6.0])
-def test_a_vehicle_that_stands_while_it_is_told_to_walk_is_left_to_its_autopilot(speed_m_s):
+def test_control_of_a_vehicle_that_stands_despite_its_setpoints_is_given_up(speed_m_s):
     """The uplink is lost: what comes back must not meet a speed that grew meanwhile."""
     safety, t_s = engaged()
     rounds = fly(safety, t_s, 8.0, Setpoint(speed_m_s), north_m_s=0.1, east_m_s=0.0)

@@ -56,7 +56,7 @@ def test_a_pixels_bearing_appears_at_the_pixel(x, y, roll, pitch, yaw):
 
 
 @given(st.floats(20, 620), st.floats(20, 340))
-def test_the_lens_can_be_undone(x, y):
+def test_undistort_inverts_distort(x, y):
     ray = rays(LENS, [(x, y)])
     np.testing.assert_allclose(project(LENS, np.eye(3), np.zeros(3), 7 * ray)[0], [(x, y)], atol=1e-4)
 
@@ -69,7 +69,7 @@ def test_bearing_does_not_depend_on_roll_and_pitch(roll, pitch, azimuth, depress
         assert bearing(CAMERA, rotation, *place) == pytest.approx((azimuth, depression), abs=1e-9)
 
 
-def test_right_in_the_picture_is_right_of_the_heading_and_low_is_down():
+def test_right_in_the_image_is_right_of_the_heading_and_low_is_down():
     centre = bearing(CAMERA, LEVEL, 320, 180)
     assert centre == pytest.approx((0, math.radians(25)))
     assert bearing(CAMERA, LEVEL, 400, 180)[0] > 0
@@ -86,7 +86,7 @@ def test_ground_points_lie_on_the_ground_and_project_back(x, y, roll, yaw, heigh
         np.testing.assert_allclose(project(CAMERA, rotation, place, ground)[0], [(x, y)], atol=1e-5)
 
 
-def test_the_sky_meets_no_ground():
+def test_a_ray_into_the_sky_has_no_ground_point():
     above = ground_points(CAMERA, camera_to_ned(-0.5, 0.0, 0.0, 0.0), (0, 0, -10), [(320, 10)])
     assert np.isnan(above).all()
 
@@ -104,7 +104,7 @@ def test_wrapping_keeps_the_direction(angle):
 
 
 @given(st.floats(0.2, 2.8))
-def test_field_of_view_is_what_was_asked_for(fov):
+def test_field_of_view_is_the_given_one(fov):
     assert Intrinsics.from_fov(640, 360, fov).horizontal_fov_rad == pytest.approx(fov)
 
 

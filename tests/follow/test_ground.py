@@ -25,7 +25,7 @@ def first(range_m=12.0):
 
 
 @given(st.lists(st.tuples(st.booleans(), st.floats(0.0, 80.0) | st.floats(4.0, 17.0)), min_size=1, max_size=3))
-def test_the_size_is_a_constant_with_a_bound_whatever_the_sources_say(words):
+def test_the_size_is_a_bounded_constant_for_any_measurements(words):
     f, sources = first(), GroundSources()
     for i, (ranged, height_m) in enumerate(word for word in words for _ in range(30)):
         told = {"above_ground_t_s": float(i), "above_ground_m": height_m} if ranged else {}
@@ -61,7 +61,7 @@ def test_a_height_as_expected_makes_it_more_certain_and_never_more_than_kalmans_
     st.lists(st.tuples(st.floats(-3.0, 3.0), st.floats(0.2, 2.0)), min_size=1, max_size=8),
     st.floats(0.0, 0.9),
 )
-def test_the_mean_of_parallaxes_is_the_least_squares_one_and_never_better_than_what_they_share(words, shared):
+def test_the_mean_of_parallaxes_is_least_squares_and_never_better_than_their_common_error(words, shared):
     seen = [Parallax(0.0, down, std, shared * std) for down, std in words]
     down_m, std_m = mean_parallax(seen)
     own = np.array([std * math.sqrt(1 - shared**2) for _, std in words])

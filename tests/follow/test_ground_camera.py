@@ -55,7 +55,7 @@ class Rig:
 
 
 @VARIANTS
-def test_it_is_found_with_its_stream(variant):
+def test_the_camera_is_discovered_with_its_stream(variant):
     rig = Rig(variant)
     rig.run(3.0)
     (station,) = rig.stations
@@ -154,7 +154,7 @@ def test_a_repeated_stop_stops_again_because_another_console_may_have_ordered_fo
         ((0.4, 0.5, 0.401, 0.501), "too small"),
     ],
 )
-def test_a_box_that_is_none_is_denied_in_words(box, why):
+def test_an_invalid_box_is_denied_with_a_reason(box, why):
     rig = Rig()
     rig.run(2.0)
     (station,) = rig.stations
@@ -174,7 +174,7 @@ def test_a_refusal_of_the_program_reaches_the_person():
     assert rig.stations[0].texts == ["no contrast: draw it round the target"]
 
 
-def test_nobody_points_at_an_old_image():
+def test_a_selection_on_an_old_image_is_refused():
     rig = Rig()
     rig.run(2.0)
     rig.frame_age_s = 1.5

@@ -12,7 +12,7 @@ from tests.support.ground_flight import GroundFlight, flat, hill, walk
 
 
 @pytest.mark.parametrize("slope", [0.10, -0.10, 0.20])
-def test_over_a_hill_the_distance_is_kept(slope):
+def test_the_distance_is_kept_over_a_hill(slope):
     flight = GroundFlight(walk(3.0, after_s=2.0), hill(slope), Autopilot.ARDUPILOT, end_s=24.0).fly()
     risen = abs(flight.ground(*flight.path(24.0)))
     assert risen > 5.0
@@ -44,7 +44,7 @@ def refused_or_kept(flight):
     ],
 )
 @pytest.mark.parametrize("above", [-20.0, -8.0, -3.0, 3.0, 8.0, 20.0])
-def test_a_height_that_is_wrong_is_corrected_or_refused_and_never_flown_under_the_floor(above, kind, autopilot):
+def test_a_wrong_height_is_corrected_or_refused_and_the_floor_is_kept(above, kind, autopilot):
     """`above` is how much higher the autopilot believes to be than it is, from the start on or from 8 s on."""
     from_s, end_s = (8.0, 14.0) if "jump" in kind else (0.0, 24.0)
 
@@ -70,7 +70,7 @@ def test_a_height_that_is_wrong_is_corrected_or_refused_and_never_flown_under_th
         *((6.0, math.radians(degrees), 3.0) for degrees in (6.0, 9.0, 11.0, 29.0)),
     ],
 )
-def test_someone_who_comes_toward_it_does_not_meet_it(speed, down, least, autopilot):
+def test_the_distance_to_an_approaching_person_stays_above_its_bound(speed, down, least, autopilot):
     """The wanted depression decides how high it flies: 6 degrees would be 1.3 m above the head, too low for a run."""
 
     def comes(t_s):
@@ -84,7 +84,7 @@ def test_someone_who_comes_toward_it_does_not_meet_it(speed, down, least, autopi
 
 
 @pytest.mark.parametrize("rate", [-0.1, -0.03, 0.05])
-def test_a_box_that_shrinks_or_grows_on_its_target_is_held_against_the_grounds_motion(rate):
+def test_a_box_that_shrinks_or_grows_on_its_target_contradicts_the_grounds_motion(rate):
     """To 0.4 or 2.2 of the target's size, at `rate` per second; without that motion it is as a hill, and only the
     least distance is promised."""
 

@@ -36,7 +36,7 @@ def test_a_stop_behind_a_flood_of_clicks_acts_in_its_round(clicker):
 
 
 @pytest.mark.parametrize("is_known", [True, False])
-def test_a_stop_before_the_flood_of_another_acts_also(is_known):
+def test_a_stop_before_the_flood_of_another_station_also_acts(is_known):
     flight = Flight()
     if is_known:
         flight.line.arrived = [(click(0, (42, 190)), STRANGER)]
@@ -49,7 +49,7 @@ def test_a_stop_before_the_flood_of_another_acts_also(is_known):
 
 
 @pytest.mark.parametrize("is_first", [True, False])
-def test_a_stop_beside_datagrams_full_of_clicks_acts_and_few_of_those_are_heeded(is_first):
+def test_a_stop_beside_datagrams_full_of_clicks_acts_and_few_of_the_clicks_are_processed(is_first):
     flight = Flight()
     full = b"".join(click(n, (42, 190)) for n in range(45))
     flight.line.arrived = [(full, STRANGER)] * 15
@@ -61,7 +61,7 @@ def test_a_stop_beside_datagrams_full_of_clicks_acts_and_few_of_those_are_heeded
 
 @pytest.mark.parametrize("place", [0, 100, 200])
 @pytest.mark.parametrize("what", ["clicks", "garbage", "heartbeats of two hundred systems"])
-def test_a_stop_among_two_hundred_strangers_acts_and_its_station_stays_answered(what, place):
+def test_a_stop_among_two_hundred_unknown_senders_acts_and_its_station_is_still_answered(what, place):
     flight = Flight()
     flight.line.arrived = [(command(DRAW), STATION)]
     flight.round()

@@ -78,7 +78,7 @@ def beat(link):
 
 @pytest.mark.parametrize("sender", [(255, 190), (1, 1), (1, 191)])
 @pytest.mark.parametrize("number", [DRAW, STOP])
-def test_a_strangers_datagram_on_the_vehicles_link_orders_nothing(number, sender):
+def test_a_datagram_of_an_unknown_sender_on_the_vehicles_link_orders_nothing(number, sender):
     flight = Flight()
     beat(flight.link)
     for _ in range(50):
@@ -116,7 +116,7 @@ def test_with_a_key_an_unsigned_datagram_orders_nothing_at_the_ground_listener_a
     assert {source for _, source in flight.line.sent} == {STATION}
 
 
-def test_a_flood_of_strangers_costs_a_bounded_number_of_datagrams_a_round():
+def test_a_flood_of_unknown_senders_costs_a_bounded_number_of_datagrams_a_round():
     flight = Flight()
     flight.line.arrived += [(b"\xfd" + bytes(20), STRANGER)] * 1000
     flight.round()
@@ -124,7 +124,7 @@ def test_a_flood_of_strangers_costs_a_bounded_number_of_datagrams_a_round():
 
 
 @pytest.mark.parametrize("numbers", [(math.nan,) * 4, (math.inf, 0.0, 1.0, 1.0), (0.6, 0.6, 0.4, 0.4)])
-def test_a_forged_box_that_is_none_selects_nothing(numbers):
+def test_a_forged_invalid_box_selects_nothing(numbers):
     flight = Flight()
     message = dialect.MAVLink_command_long_message(*CAMERA, DRAW, 0, *numbers, 0.0, 0.0, 0.0)
     flight.line.arrived.append((message.pack(dialect.MAVLink(None, 255, 190)), STATION))

@@ -85,7 +85,7 @@ def test_for_the_pilots_sticks_a_mode_in_which_they_act_is_requested(autopilot, 
 
 
 @BOTH
-def test_sticks_are_given_back_out_of_the_hold_that_was_requested_here_and_out_of_no_other(autopilot):
+def test_the_stick_mode_is_requested_out_of_our_own_hold_only(autopilot):
     pair = Pair(autopilot).fly()
     pair.setpoint = None
     pair.run(2.0)
@@ -212,7 +212,7 @@ def cut(pair: Pair, seconds: float) -> None:
 
 @pytest.mark.parametrize("seconds", [3.5, 5.0, 30.0])
 @pytest.mark.parametrize(("for_sticks", "wanted"), [(True, "LOITER"), (False, "BRAKE")])
-def test_after_a_cut_link_the_vehicle_in_our_mode_is_told_of_and_given_back_when_asked(seconds, for_sticks, wanted):
+def test_after_a_lost_link_a_vehicle_still_in_our_mode_is_reported_and_released_on_order(seconds, for_sticks, wanted):
     pair = Pair(Autopilot.ARDUPILOT).fly()
     modes, texts = requested(pair), said_to(pair)
     cut(pair, seconds)
@@ -227,7 +227,7 @@ def test_after_a_cut_link_the_vehicle_in_our_mode_is_told_of_and_given_back_when
 
 
 @BOTH
-def test_a_mode_that_somebody_chose_while_the_link_was_cut_is_theirs(autopilot):
+def test_a_mode_that_the_pilot_chose_while_the_link_was_lost_is_kept(autopilot):
     pair = Pair(autopilot).fly()
     modes, texts = requested(pair), said_to(pair)
     cut(pair, 2.0)
@@ -272,7 +272,7 @@ def test_px4_that_goes_back_to_offboard_by_itself_when_control_is_ordered_again_
     assert (modes, pair.state.mode) == (["HOLD"], "HOLD")
 
 
-def test_a_stick_that_moves_again_asks_again_for_the_mode_in_which_it_acts():
+def test_a_stick_that_moves_again_requests_the_stick_mode_again():
     """The first requests were lost on their way: the vehicle hovers in GUIDED, where no stick acts."""
     pair = Pair(Autopilot.ARDUPILOT).fly()
     reason = Reason(Cause.STICK, "roll")
@@ -320,7 +320,7 @@ def test_only_a_refusal_that_is_addressed_to_us_or_to_nobody_ends_our_request(au
 
 
 @BOTH
-def test_a_link_that_is_cut_in_our_mode_is_told_again_and_again(autopilot, caplog):
+def test_a_link_lost_in_our_mode_is_reported_repeatedly(autopilot, caplog):
     pair = Pair(autopilot).fly()
     pair.to_autopilot = pair.to_client = lambda _packets: []
     pair.run(2.0)

@@ -87,7 +87,7 @@ def test_a_sound_camera_has_gain_one_for_rotation_and_for_translation():
 
 
 @pytest.mark.parametrize("lower_m", [-3.0, 4.0])
-def test_the_translation_gain_is_the_believed_over_the_true_height(lower_m):
+def test_the_translation_gain_is_the_assumed_over_the_true_height(lower_m):
     a, b = fit(flown(flying, see=lambda s: image_of(s, ground_down_m=lower_m)))
     assert a == pytest.approx(1.0, abs=0.06)
     assert b == pytest.approx(8.0 / (8.0 + lower_m), rel=0.1)
@@ -137,7 +137,7 @@ def test_a_frozen_image_is_contradicted_within_a_second_although_its_bytes_chang
     assert "does not move with the vehicle" in judged(motions)
 
 
-def test_a_vehicle_that_hangs_still_is_never_contradicted():
+def test_a_vehicle_that_hovers_still_is_never_contradicted():
     frozen = image_of(state(0.0))
     motions = flown(lambda _t: {"pitch": 0.0}, 2.0, see=lambda _s: frozen)
     assert motions
@@ -187,7 +187,7 @@ def test_corners_keep_away_from_the_box_whatever_the_size_of_the_image(times):
 
 
 @pytest.mark.parametrize("lower_m", [-3.0, 0.0, 4.0])
-def test_parallax_tells_the_height_above_the_ground_around_the_feet(lower_m):
+def test_parallax_measures_the_height_above_the_ground_around_the_feet(lower_m):
     motions = flown(flying, 2.0, see=lambda s: image_of(s, ground_down_m=lower_m), box=lambda _t: Box(150, 60, 12, 40))
     told = [m for m in motions if math.isfinite(m.height_std_m)]
     assert len(told) >= len(motions) / 2
@@ -197,7 +197,7 @@ def test_parallax_tells_the_height_above_the_ground_around_the_feet(lower_m):
 
 
 @given(st.floats(0.65, 1.35), st.floats(-math.pi, math.pi), st.floats(0.8, 4.0), st.floats(0.0, 0.2))
-def test_a_shadow_goes_along_with_its_target_and_the_ground_beside_it_does_not(ratio, angle, speed, noise):
+def test_a_shadow_moves_with_its_target_and_the_ground_beside_it_does_not(ratio, angle, speed, noise):
     """`ratio`: of the ground's motion to the expected one; `speed`: of the target over the ground, in that motion."""
     t = np.array([[0.0, 10.0]] * 4)
     went = t[0] + 10.0 * speed * np.array([math.sin(angle), math.cos(angle)])
@@ -208,7 +208,7 @@ def test_a_shadow_goes_along_with_its_target_and_the_ground_beside_it_does_not(r
 
 
 @pytest.mark.parametrize("again_s", [2.0, 9.0])
-def test_no_height_is_told_over_ground_that_was_flown_unheard(again_s):
+def test_no_height_is_measured_over_a_gap_in_the_telemetry(again_s):
     """Positions stay away from 1 s on, and the vehicle goes on: what it flew would be taken for a low flight."""
 
     def heard(s):
@@ -250,7 +250,7 @@ def stepped(s: VehicleState, edge_m: float, step_m: float, beyond_m: float = 1e3
 @pytest.mark.parametrize("step_m", [2.5, 5.0])
 @pytest.mark.parametrize("edge_m", [8.0, 11.0, 14.0, 17.0])
 @pytest.mark.parametrize("thick_m", [0.3, 1e3])
-def test_corners_on_a_wall_or_at_a_roofs_edge_tell_no_height(step_m, edge_m, thick_m):
+def test_corners_on_a_wall_or_at_a_roofs_edge_give_no_height(step_m, edge_m, thick_m):
     """The vehicle flies 6 m towards a block; the feet are 11 m ahead.  What is told is a height over one plane.
 
     That plane is the ground, or the roof where it is large enough to stand on.
@@ -263,17 +263,17 @@ def test_corners_on_a_wall_or_at_a_roofs_edge_tell_no_height(step_m, edge_m, thi
             assert min(abs(m.height_m - plane) for plane in planes) < 1.5 * m.height_std_m
 
 
-def test_a_vehicle_that_hangs_exactly_still_is_told_no_height():
+def test_a_vehicle_that_hovers_exactly_still_gets_no_height():
     motions = flown(lambda _t: {}, 1.0, box=lambda _t: Box(150, 60, 12, 40))
     assert motions
     assert all(math.isinf(m.height_std_m) for m in motions)
 
 
-def test_a_vehicle_that_only_turns_is_told_no_height():
+def test_a_vehicle_that_only_turns_gets_no_height():
     assert all(math.isinf(m.height_std_m) for m in flown(turning, 1.0, box=lambda _t: Box(150, 60, 12, 40)))
 
 
-def test_intervals_with_a_gap_between_them_say_nothing_of_the_box():
+def test_intervals_with_a_gap_between_them_are_no_evidence_about_the_box():
     one = ImageMotion(0.0, 0.2, 20, 1.0, 0.0, 0.0, 1.0, 0.0, 1.0, (0.0, 0.0), (0.0, 0.0))
     later = replace(one, from_t_s=2.0, t_s=2.2, box_expected_px=(0.0, 50.0))
     assert box_gain([one, later]) is None
@@ -290,7 +290,7 @@ def hovering(t_s):
 
 
 @pytest.mark.parametrize("late_s", [-0.05, 0.05])
-def test_a_hover_tells_no_height_although_its_frames_times_are_wrong(late_s):
+def test_a_hover_gives_no_height_although_the_times_of_its_frames_are_wrong(late_s):
     """What rotation does not explain is then larger than the translation, and points along it by chance."""
 
     def see(s):

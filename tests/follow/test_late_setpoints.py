@@ -30,7 +30,7 @@ def connected(receive_buffer: int = 0):
             yield server, way
 
 
-def test_the_age_of_what_waits_is_that_of_its_oldest_byte():
+def test_the_age_of_a_queue_is_that_of_its_oldest_byte():
     queue = SendQueue()
     for t_s in (0.0, 1.0, 2.0):
         queue.wrote(100, t_s)
@@ -43,7 +43,7 @@ def test_the_age_of_what_waits_is_that_of_its_oldest_byte():
 
 
 @pytest.mark.skipif(not hasattr(socket, "TCP_USER_TIMEOUT"), reason="only Linux tells what a TCP socket has not sent")
-def test_a_peer_that_takes_nothing_never_gets_what_waited(monkeypatch):
+def test_a_peer_that_stopped_reading_never_gets_stale_packets(monkeypatch):
     monkeypatch.setattr(wire, "REOPEN_S", 0.05)
     with connected(receive_buffer=2048) as (server, way):
         vehicle, _ = server.accept()
@@ -90,7 +90,7 @@ def test_a_silent_peer_gets_our_heartbeat_only_until_it_speaks(monkeypatch):
         vehicle.close()
 
 
-def test_what_waits_for_a_slow_serial_line_is_discarded(monkeypatch):
+def test_packets_queued_for_a_slow_serial_line_are_discarded(monkeypatch):
     monkeypatch.setattr(wire, "UNSENT_S", 0.05)
     flushed = []
     monkeypatch.setattr(wire, "unsent_bytes", lambda _file: 0 if flushed else 2 * len(SETPOINT))
@@ -109,7 +109,7 @@ def test_what_waits_for_a_slow_serial_line_is_discarded(monkeypatch):
     os.close(line)
 
 
-def test_a_packet_is_never_written_into_a_file_that_got_the_number_of_the_closed_line(monkeypatch, tmp_path):
+def test_a_packet_is_never_written_to_a_file_with_the_reused_descriptor_of_a_closed_line(monkeypatch, tmp_path):
     vehicle, line = pty.openpty()
     way = wire.SerialTransport(os.ttyname(line), 57600)
     number, close = way._file, os.close

@@ -50,7 +50,7 @@ def test_late_telemetry_counts_as_half_the_round_trip_old_and_is_stale_before_it
     assert pair.t_s - pair.state.position_t_s == pytest.approx((down_s + up_s) / 2, abs=0.15)
 
 
-def test_a_link_in_time_is_never_stale():
+def test_a_link_with_little_delay_is_never_stale():
     pair = late(0.02, 0.02)
     pair.run(1.0)
     for _ in range(100):
@@ -58,7 +58,7 @@ def test_a_link_in_time_is_never_stale():
         assert not stale(pair.state, pair.t_s, LIMITS)
 
 
-def test_a_vehicle_that_is_late_and_restarts_is_not_fresh_meanwhile():
+def test_telemetry_of_a_late_vehicle_that_restarts_is_stale_meanwhile():
     pair = late(0.6, 0.6)
     pair.run(8.0)
     pair.client.clock._forget()  # as when its clock goes back

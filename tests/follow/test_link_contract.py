@@ -140,7 +140,7 @@ def opened_by_mavlink(request):
 
 @BOTH
 @pytest.mark.parametrize("name", sorted(PRETENDED))
-def test_a_pretended_flight_is_obeyed_and_ends_in_hover(name, autopilot):
+def test_a_simulated_link_obeys_and_ends_in_hover(name, autopilot):
     with LINKS[name](autopilot) as rig:
         state = rig.stream(8.0, Setpoint(forward_m_s=1.0), lambda state: state.body_velocity_m_s()[0] > 0.5)
         assert state.in_control
@@ -149,7 +149,7 @@ def test_a_pretended_flight_is_obeyed_and_ends_in_hover(name, autopilot):
     assert abs(state.body_velocity_m_s()[0]) < 0.1
 
 
-def test_a_link_tells_finite_states_whose_time_never_runs_back_and_takes_finite_setpoints(opened):
+def test_a_link_reports_finite_states_with_monotonic_time_and_accepts_finite_setpoints(opened):
     with opened(Autopilot.ARDUPILOT) as rig:
         before = rig.link.state()
         took_s = []

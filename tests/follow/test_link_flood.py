@@ -80,7 +80,7 @@ def test_a_round_under_a_flood_is_short_and_uses_all_that_the_vehicle_sent(clock
 
 
 @pytest.mark.parametrize("addresses", [1, 40])
-def test_the_first_packet_of_the_vehicle_is_heard_among_a_flood(clock, addresses):
+def test_the_first_packet_of_the_vehicle_is_received_in_a_flood(clock, addresses):
     link, _ = opened(clock)
     for _ in range(5):
         flood(link, clock, 3000, addresses)
@@ -94,7 +94,7 @@ def test_the_first_packet_of_the_vehicle_is_heard_among_a_flood(clock, addresses
     assert link.client.peer.address == VEHICLE
 
 
-def test_a_vehicle_with_a_new_address_is_heard_among_a_flood(clock):
+def test_a_vehicle_with_a_new_address_is_received_in_a_flood(clock):
     link, _ = opened(clock)
     heard(link, clock, VEHICLE)
     link.state()
@@ -137,7 +137,7 @@ def test_memory_is_bounded_and_other_addresses_take_turns():
     assert {VEHICLE, ("10.9.9.8", 1)} <= {arrival[2] for arrival in taken[:ADDRESSES] if arrival is not None}
 
 
-def test_what_waits_from_the_vehicle_keeps_its_order_when_it_becomes_known():
+def test_queued_packets_of_the_vehicle_keep_their_order_when_its_address_becomes_known():
     arrivals = Arrivals()
     for n in range(3):
         arrivals.put((float(n), b"x", VEHICLE))

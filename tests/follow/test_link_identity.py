@@ -49,7 +49,7 @@ def test_many_forged_addresses_are_bounded_in_memory_and_in_the_log(caplog):
     assert len([r for r in caplog.records if "also claims" in r.message]) == 1
 
 
-def test_a_new_address_is_believed_only_after_a_long_silence_and_when_it_goes_on():
+def test_a_new_address_is_accepted_only_after_a_long_silence_and_if_it_keeps_sending():
     peer = PeerAddress()
     peer.admits(VEHICLE, 0.0, signed=False)
     assert not peer.admits(STRANGER, 1000.0, signed=False), "one datagram moves nothing, however late"
@@ -67,7 +67,7 @@ def test_a_signed_packet_moves_the_address_at_once():
 
 
 @pytest.mark.parametrize("offset", range(0, 256, 5))
-def test_sequence_numbers_of_two_senders_are_noticed_within_a_second(offset):
+def test_two_senders_are_detected_by_their_sequence_numbers_within_a_second(offset):
     """At 50 and 20 packets a second the offset between them drifts through every value."""
     watch = SenderWatch()
     for n in range(250):
@@ -149,7 +149,7 @@ def test_one_forged_datagram_does_not_move_our_packets_and_forged_channels_are_n
     assert state.contested_t_s == 0.0, "and it is noticed"
 
 
-def test_while_two_senders_use_the_vehicles_id_its_remote_control_is_not_believed(caplog):
+def test_while_two_senders_use_the_vehicles_id_its_remote_control_is_ignored(caplog):
     """c18: the forger is on the same line, where no address tells it from the vehicle."""
     pair = Pair(Autopilot.PX4)
     pair.run(5.0)
@@ -197,7 +197,7 @@ def test_a_serial_line_in_use_is_refused_to_a_second_program():
         ("h", "network"),
     ],
 )
-def test_who_can_reach_a_link_goes_by_its_peer(host, reach):
+def test_the_exposure_of_a_link_follows_from_its_peer(host, reach):
     assert wire.reach_of(host).value == reach
 
 

@@ -284,7 +284,7 @@ def test_a_long_line_of_error_is_shown_by_its_end():
     assert len(str(refusal.value)) < 400
 
 
-def test_the_delay_that_a_camera_is_known_to_have_is_taken_off_and_granted_by_the_gate():
+def test_the_known_delay_of_a_camera_is_subtracted_and_allowed_by_the_gate():
     chosen = Config(camera=CameraConfig(delay_s=0.15))
     command = RunCommand(
         "udpin:127.0.0.1:1", camera="lavfi:testsrc=size=64x48:rate=30", target="10,10,30,40", config=chosen

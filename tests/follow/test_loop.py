@@ -86,7 +86,7 @@ def test_every_round_sends_what_the_gate_allowed_and_yields_one_tick():
     assert [what for what in said if what[0] == "send"] == [("send", HOVER)] * 3
 
 
-def test_a_round_without_a_picture_still_passes_the_gate_with_the_old_pictures_time():
+def test_a_round_without_an_image_still_passes_the_gate_with_the_old_images_time():
     ticks, said = fly([None, Frame(PICTURE, 0.1, 0), None])
     assert [t_s for what, t_s in said if what == "allow"] == [NEVER, 0.1, 0.1]
     assert [tick.track is None for tick in ticks] == [True, False, True]
@@ -98,7 +98,7 @@ def test_the_prior_reaches_the_tracker():
     assert ticks[0].track.box == BOX
 
 
-def test_the_gate_hears_the_operators_instruction_of_the_same_round():
+def test_the_gate_gets_the_operators_instruction_of_the_same_round():
     pieces = Pieces([None, None])
     instructions = [Instruction(Order.FOLLOW), Instruction(forbids="a red check")]
     given = iter(instructions)

@@ -29,7 +29,7 @@ def test_the_vehicle_is_found_and_its_state_is_the_vehicles(autopilot):
 
 
 @BOTH
-def test_rates_asked_for_arrive(autopilot):
+def test_requested_message_rates_are_set(autopilot):
     pair = Pair(autopilot)
     pair.run(3.0)
     before = dict(pair.client.heard.counts)
@@ -40,7 +40,7 @@ def test_rates_asked_for_arrive(autopilot):
 
 
 @BOTH
-def test_nothing_changes_the_mode_unasked(autopilot):
+def test_nothing_changes_the_mode_without_an_order(autopilot):
     pair = Pair(autopilot)
     before = pair.system.flight.mode
     pair.setpoint = Setpoint(forward_m_s=1.0)
@@ -74,7 +74,7 @@ def test_another_mode_ends_control_for_good(autopilot):
 
 
 @BOTH
-def test_hold_is_asked_only_by_who_is_in_control(autopilot):
+def test_hold_is_requested_only_while_in_control(autopilot):
     pair = Pair(autopilot)
     pair.run(2.0)
     pair.system.flight.enter("RTL")
@@ -148,7 +148,7 @@ def test_a_pause_of_our_own_ends_in_hold_and_not_in_a_resumed_stream(autopilot):
 
 
 @BOTH
-def test_the_end_of_the_stream_asks_for_hold(autopilot):
+def test_the_end_of_the_stream_requests_hold(autopilot):
     pair = Pair(autopilot).fly()
     pair.setpoint = None
     pair.run(1.5)
@@ -156,7 +156,7 @@ def test_the_end_of_the_stream_asks_for_hold(autopilot):
 
 
 @BOTH
-def test_a_stream_that_ends_after_a_takeover_asks_for_nothing(autopilot):
+def test_a_stream_that_ends_after_a_takeover_requests_nothing(autopilot):
     pair = Pair(autopilot).fly()
     pair.system.flight.enter("LAND")
     pair.run(1.2)
@@ -166,7 +166,7 @@ def test_a_stream_that_ends_after_a_takeover_asks_for_nothing(autopilot):
 
 
 @BOTH
-def test_control_is_not_asked_for_before_setpoints_stream(autopilot):
+def test_control_is_not_requested_before_setpoints_stream(autopilot):
     pair = Pair(autopilot)
     pair.run(2.0)
     before = pair.state.mode
@@ -179,7 +179,7 @@ def test_control_is_not_asked_for_before_setpoints_stream(autopilot):
 
 
 @BOTH
-def test_thirty_percent_loss_still_takes_control(autopilot):
+def test_control_is_taken_with_thirty_percent_packet_loss(autopilot):
     random = Random(3)
     pair = Pair(autopilot)
     lossy = lambda packets: [packet for packet in packets if random.random() > 0.3]  # noqa: E731 (one line, used twice)
@@ -227,7 +227,7 @@ def test_garbage_between_packets_costs_no_packet(autopilot):
     assert pair.client.packets.unreadable > 1000
 
 
-def test_another_system_component_or_kind_is_not_believed():
+def test_messages_of_another_system_component_or_type_are_ignored():
     pair = Pair(Autopilot.PX4)
     strangers = [
         (1, 100, dialect.MAV_TYPE_CAMERA, 8),
@@ -248,7 +248,7 @@ def test_another_system_component_or_kind_is_not_believed():
     assert pair.state == before
 
 
-def test_the_vehicle_of_the_wanted_system_id_is_chosen():
+def test_the_vehicle_of_the_given_system_id_is_chosen():
     pair = Pair(Autopilot.PX4, system_id=7)
     pair.run(2.0)
     assert pair.client.vehicle_id is None
@@ -337,7 +337,7 @@ def test_a_simulated_autopilot_that_does_not_keep_real_time_is_not_taken_for_sta
 @BOTH
 @pytest.mark.parametrize("after_s", [0.1, 0.4, 0.7, 1.0])
 @pytest.mark.parametrize("before", [{Autopilot.PX4: "POSCTL", Autopilot.ARDUPILOT: "LOITER"}, HOLD])
-def test_hold_is_asked_again_until_a_later_heartbeat_tells_it(autopilot, after_s, before):
+def test_the_request_for_hold_is_repeated_until_a_later_heartbeat_confirms_it(autopilot, after_s, before):
     pair = Pair(autopilot)
     pair.run(2.0)
     pair.system.flight.enter(before[autopilot])
@@ -363,7 +363,7 @@ def test_hold_is_asked_again_until_a_later_heartbeat_tells_it(autopilot, after_s
     assert pair.system.flight.mode == HOLD[autopilot]
 
 
-def test_who_steers_another_vehicle_is_no_second_sender():
+def test_a_sender_that_steers_another_vehicle_is_no_second_sender():
     pair = Pair(Autopilot.PX4)
     pair.run(2.0)
     mav = dialect.MAVLink(None, 2, 191)

@@ -132,7 +132,7 @@ def test_a_value_that_leaves_the_vehicle_without_a_failsafe_is_red_by_its_name(a
         ("4.7", {"WP_ACC": "2.5 m/s2", "RTL_ALT_M": "15 m", "LAND_SPD_MS": "0.5 m/s", "ATC_ANGLE_MAX": "30 deg"}),
     ],
 )
-def test_the_same_value_is_told_alike_whatever_the_firmware_names_it_and_its_unit(firmware, told):
+def test_the_same_value_is_reported_alike_whatever_the_firmwares_name_and_unit(firmware, told):
     found = {finding.name: finding.text for finding in examined(Pair(Autopilot.ARDUPILOT, firmware=firmware))}
     for name, text in told.items():
         assert found[name].startswith(f"{text} (")
@@ -185,7 +185,7 @@ def test_the_doctor_changes_nothing_on_the_vehicle(autopilot):
         ([foreign_packet()], "MAVLink packets, but no heartbeat", "check what is connected"),
     ],
 )
-def test_a_link_without_the_vehicle_names_what_is_heard_instead(heard, told, fix):
+def test_a_link_without_the_vehicle_names_the_other_senders(heard, told, fix):
     pair = Pair(Autopilot.PX4, system_id=5)
     pair.to_client = lambda _packets: heard if round(pair.t_s * 50) % 50 == 0 else []
     (finding,) = examined(pair)
@@ -253,7 +253,7 @@ def test_a_second_sender_is_red():
     assert "component 192" in found["second-sender"].text
 
 
-def test_a_parameter_that_is_not_told_is_red_when_it_is_judged():
+def test_a_parameter_without_a_reply_is_red_if_it_is_checked():
     pair = Pair(Autopilot.PX4)
     del pair.system.flight.parameters["COM_OBL_RC_ACT"]
     del pair.system.flight.parameters["RTL_RETURN_ALT"]
@@ -281,11 +281,11 @@ def test_a_clock_that_was_never_set_is_red_only_for_signing():
     assert doctor.check_time(signs=True, unix_s=1.8e9).verdict is Health.OK
 
 
-def test_disk_room_is_told(tmp_path):
+def test_free_disk_space_is_reported(tmp_path):
     assert "GB free" in doctor.check_disk(tmp_path / "not" / "yet").text
 
 
-def test_the_disk_is_reckoned_from_the_frames_and_the_flight(tmp_path, monkeypatch):
+def test_the_needed_disk_space_follows_from_frames_and_flight_time(tmp_path, monkeypatch):
     needed = doctor.flight_bytes((640, 360), RecordConfig(), 600.0)
     assert needed == pytest.approx(10 * 7.8e6, rel=0.05)  # 4.5 MB a minute of frames, 3.3 of the rest
     assert doctor.flight_bytes((1280, 720), RecordConfig(encoder=Encoder.JPEG), 600.0) > 20 * needed
@@ -315,7 +315,7 @@ class Slideshow:
     def __exit__(self, *_error): ...
 
 
-def test_a_camera_is_judged_by_its_rate_and_the_age_of_its_pictures():
+def test_a_camera_is_judged_by_its_rate_and_the_age_of_its_images():
     kept = []
     verdicts = {finding.name: finding.verdict for finding in doctor.check_camera(Slideshow(60), None, kept)}
     assert verdicts == {"camera": Health.OK}

@@ -27,7 +27,7 @@ def read_until(way: wire.Transport, wanted: int, seconds: float = 5.0) -> bytes:
     return data
 
 
-def test_udp_answers_only_where_it_is_told_to():
+def test_udp_sends_only_to_the_address_set_by_answer_to():
     listening = wire.UdpTransport("127.0.0.1", 0, listens=True)
     with contextlib.closing(listening), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle:
         vehicle.bind(("127.0.0.1", 0))
@@ -101,12 +101,12 @@ def test_a_truncated_datagram_does_not_swallow_the_next():
     assert len(packets.read_datagram(PACKET)) == 1
 
 
-def test_a_false_beginning_in_a_datagram_does_not_hide_the_packet_behind_it():
+def test_a_false_start_byte_in_a_datagram_does_not_hide_the_packet_behind_it():
     assert len(Packets(1, 191).read_datagram(b"\xfd\xff\x00" + PACKET)) == 1
 
 
 @pytest.mark.parametrize("byte", [0xFE, 0xFD])
-def test_a_datagram_full_of_false_beginnings_costs_little_and_the_next_one_is_read(byte, monkeypatch):
+def test_a_datagram_full_of_false_start_bytes_costs_little_and_the_next_one_is_read(byte, monkeypatch):
     packets, tries = Packets(1, 191), []
     monkeypatch.setattr(packets, "_decode", lambda packet, decode=packets._decode: tries.append(1) or decode(packet))
     monkeypatch.setattr("follow.link.packets.is_foreign", lambda *given: tries.append(1) or is_foreign(*given))
@@ -138,12 +138,12 @@ def test_a_datagram_that_is_longer_than_any_of_mavlink_is_read_in_part():
 
 
 @pytest.mark.parametrize("baud", ["0123", "7", "99999999"])
-def test_a_speed_that_no_line_knows_is_named(baud):
+def test_an_unknown_baud_rate_is_named(baud):
     with pytest.raises(RuntimeError, match="not a baud rate"):
         wire.open_transport(f"serial:/dev/null:{baud}")
 
 
-def test_a_vehicle_whose_signing_clock_is_behind_is_spoken_to_and_then_understood(tmp_path):
+def test_a_vehicle_whose_signing_clock_is_behind_is_accepted_after_it_received_our_packets(tmp_path):
     key = tmp_path / "key"
     key.write_bytes(bytes(range(32)))
     key.chmod(0o600)

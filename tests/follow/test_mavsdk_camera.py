@@ -81,7 +81,7 @@ def flying(ground):
 
 
 @pytest.mark.parametrize("ground", ["direct", "behind the autopilot"])
-def test_it_finds_the_camera_points_is_told_the_state_and_stops(ground):
+def test_mavsdk_finds_the_camera_selects_reads_the_status_and_stops(ground):
     with flying(ground) as (tracked, port), CameraClient(f"udpout://127.0.0.1:{port}") as client:
         (information,) = client.cameras
         assert information.component_id == 100
@@ -101,7 +101,7 @@ def test_it_finds_the_camera_points_is_told_the_state_and_stops(ground):
         assert tracked.chosen[-1].is_point
 
 
-def test_a_refusal_reaches_it_with_its_reason():
+def test_a_refusal_reaches_mavsdk_with_its_reason():
     with flying("direct") as (tracked, port), CameraClient(f"udpout://127.0.0.1:{port}") as client:
         tracked.why = "nothing to hold on to"
         with pytest.raises(CameraError):

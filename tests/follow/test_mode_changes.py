@@ -46,18 +46,18 @@ def test_every_change_is_one_line_with_the_time_since_the_first_round():
         ([], ""),
     ],
 )
-def test_a_flight_that_sends_nothing_at_its_end_says_since_when_and_why(rounds, early):
+def test_a_flight_that_sends_nothing_at_its_end_reports_since_when_and_why(rounds, early):
     assert reported(rounds)[1] == early
 
 
-def test_a_hindrance_that_flickers_with_new_figures_is_told_every_ten_seconds_at_most():
+def test_a_flickering_refusal_with_new_figures_is_reported_every_ten_seconds_at_most():
     texts = ["the image does not move with the vehicle (0.0 of {} px): frozen", "the image does not turn ({} of 5 px)"]
     rounds = [(Mode.OBSERVE, Reason(Cause.NOT_READY, texts[n % 2].format(n))) for n in range(60)]  # half a second each
     lines, _ = reported(rounds)
     assert [line.split(" ")[0] for line in lines] == ["0.0", "0.5", "10.0", "10.5", "20.0", "20.5"]
 
 
-def test_an_order_that_waits_for_what_flickers_is_told_once_for_each_kind_and_again_for_each_order():
+def test_the_flickering_reasons_of_a_queued_order_are_reported_once_each_and_again_for_each_order():
     words = "the key f; waits 3 s for: the image does not {} ({} of 5 px)"
     waits = [(Mode.OBSERVE, Reason(Cause.ORDER_WAITS, words.format(("move", "turn")[n % 2], n))) for n in range(6)]
     void = (Mode.OBSERVE, Reason(Cause.ORDER_VOID, "the image does not turn"))
@@ -65,7 +65,7 @@ def test_an_order_that_waits_for_what_flickers_is_told_once_for_each_kind_and_ag
     assert [line.split(" ")[0] for line in lines] == ["0.0", "0.5", "3.0", "3.5", "4.0"]
 
 
-def test_a_tracker_that_started_again_on_what_moved_in_its_box_is_told():
+def test_a_tracker_that_restarted_on_the_moving_part_of_its_box_is_reported():
     lines: list[str] = []
     changes, box = ModeChanges(lines.append), Box(100.0, 100.0, 40.0, 60.0)
     for restarted in (False, True, False):

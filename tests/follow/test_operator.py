@@ -73,7 +73,7 @@ def desk(**options) -> Desk:
     return Desk(Operator(lines.append, **options), lines)
 
 
-def test_nothing_is_ordered_that_nobody_asked_for():
+def test_nothing_is_ordered_without_the_operator():
     d = desk(heard=Ears(CENTRED))
     assert [d.be(mode) for mode in ("observe", "ready", "engage", "follow", "ended")] == [None] * 5
 
@@ -137,7 +137,7 @@ def test_a_switch_that_returns_with_its_remote_is_not_an_order(lost):
     assert d.hold("ready", 30) == []
 
 
-def test_orders_that_wait_die_with_the_pilots_stick_and_with_his_mode():
+def test_a_moved_stick_or_a_changed_mode_cancels_queued_orders():
     ears = Ears(CENTRED)
     d = desk(heard=ears)
     d.hold("follow")
@@ -152,7 +152,7 @@ def test_orders_that_wait_die_with_the_pilots_stick_and_with_his_mode():
     assert d.hold("ended") == []
 
 
-def test_a_stick_while_an_order_waits_takes_the_order_back():
+def test_a_moved_stick_cancels_a_queued_order():
     ears = Ears(CENTRED)
     d = desk(heard=ears)
     d.operator.order(Order.FOLLOW, "key f")
@@ -163,7 +163,7 @@ def test_a_stick_while_an_order_waits_takes_the_order_back():
 
 
 @pytest.mark.parametrize("stick", range(4))
-def test_a_stick_that_leaves_its_place_takes_control_back(stick):
+def test_a_moved_stick_takes_control_back(stick):
     ears = Ears(CENTRED)
     d = desk(heard=ears)
     assert d.be("follow") is None
@@ -206,7 +206,7 @@ def test_a_ground_stations_stick_that_nobody_moves_forbids_nothing(rest):
 
 
 @pytest.mark.parametrize("stick", range(4))
-def test_a_ground_stations_stick_takes_control_back_as_the_pilots(stick):
+def test_a_ground_stations_stick_takes_control_back_like_the_pilots(stick):
     d, ears = with_joystick(CENTRED)
     assert stick_rounds(d, ears, CENTRED, "follow") == []
     moved = tuple(pwm + 200 * (i == stick) for i, pwm in enumerate(CENTRED))
@@ -218,7 +218,7 @@ def test_a_ground_stations_stick_takes_control_back_as_the_pilots(stick):
 FAILSAFE = (1500, 1500, 988, 1500)
 
 
-def test_a_receivers_failsafe_is_not_a_pilot_who_moves_a_stick():
+def test_a_receivers_failsafe_values_are_no_stick_movement():
     ears = Ears((1500, 1500, 1500, 1500))
     d = desk(heard=ears)
     assert d.hold("follow") == []
@@ -228,7 +228,7 @@ def test_a_receivers_failsafe_is_not_a_pilot_who_moves_a_stick():
 
 
 @pytest.mark.parametrize("second", [(1500, 1500, 1040, 1500), (1500, 1500, 1320, 1500)])
-def test_a_stick_that_a_hand_moves_is_the_pilots(second):
+def test_a_stick_moved_by_hand_is_a_takeover(second):
     ears = Ears((1500, 1500, 1500, 1500))
     d = desk(heard=ears)
     assert d.hold("follow") == []
@@ -310,7 +310,7 @@ def test_a_mode_is_reported_once_with_its_reason():
     assert d.lines == ["0.0 s: brake (no frame), vehicle in no known mode"]
 
 
-def test_a_stick_held_off_its_place_is_felt_through_a_gap_of_the_remote():
+def test_a_deflected_stick_is_detected_across_a_gap_of_the_remote_control():
     ears = Ears(CENTRED)
     d = desk(heard=ears)
     assert d.be("follow") is None
@@ -320,7 +320,7 @@ def test_a_stick_held_off_its_place_is_felt_through_a_gap_of_the_remote():
     assert Order.OBSERVE in d.hold("follow")
 
 
-def test_a_terminal_that_goes_twice_leaves_once():
+def test_two_sighups_leave_once():
     d = desk()
     with signals(d.operator):
         signal.raise_signal(signal.SIGHUP)

@@ -57,7 +57,7 @@ def test_follow_that_never_began_is_a_failed_run_with_its_figures_and_one_line(c
         ),
     ],
 )
-def test_a_flight_whose_truth_is_known_ends_with_a_verdict_for_a_person_alone(capfd, figures, line):
+def test_a_flight_with_ground_truth_ends_with_a_verdict_on_a_terminal_only(capfd, figures, line):
     result(figures, as_json=False)
     assert capfd.readouterr().out.splitlines()[-1] == f"was it safe: {line}"
     result(figures, as_json=True)

@@ -140,7 +140,7 @@ def test_a_window_that_reconnects_keeps_the_command_and_one_that_is_gone_loses_i
         assert second.replied()[0]
 
 
-def test_a_window_that_reconnects_is_not_told_again_what_it_was_answered_before(rig):
+def test_a_window_that_reconnects_gets_no_old_reply_again(rig):
     with rig.window() as first:
         first.order("stop")
         assert first.replied() == [True, "stop: stopped"]
@@ -149,7 +149,7 @@ def test_a_window_that_reconnects_is_not_told_again_what_it_was_answered_before(
         assert again.replied() == [False, "confirm: select a target first"], "the newest, and nothing older"
 
 
-def test_connections_that_ask_for_nothing_do_not_keep_others_out(rig):
+def test_idle_connections_do_not_block_others(rig):
     """Whoever reaches the address can open them, without a token; each costs a file of the process that flies."""
     before = len(os.listdir("/proc/self/fd"))
     with rig.window() as window, ExitStack() as stack:
@@ -222,14 +222,14 @@ def closing_code(window) -> int:
     return 0
 
 
-def test_of_two_windows_with_one_number_the_later_one_has_it(rig):
+def test_of_two_windows_with_one_id_the_later_one_keeps_it(rig):
     with rig.window() as first, rig.window() as second:
         second.until(lambda w: w.images)
         assert second.name == "page 1"
         assert closing_code(first) == 4001
 
 
-def test_what_was_done_before_a_stop_does_not_act_after_it(rig):
+def test_acts_before_a_stop_have_no_effect_after_it(rig):
     rig.has_target = True
     rig.round()
     rig.consoles.drawn_t_s = rig.consoles.t_s
@@ -244,7 +244,7 @@ def test_what_was_done_before_a_stop_does_not_act_after_it(rig):
     assert rig.ordered() == [Order.FOLLOW], "an order after it is a new one"
 
 
-def test_a_tap_that_finds_nothing_is_answered_so(rig):
+def test_a_tap_that_finds_nothing_gets_that_reply(rig):
     with rig.window() as window:
         window.until(lambda w: w.images)
         rig.consoles.is_looking = lambda: True
@@ -268,7 +268,7 @@ def test_ten_watchers_see_and_a_slow_one_costs_nobody_but_itself_its_images(rig)
         assert windows[0].status["state"] == "SELECT A TARGET", "its status comes all the same"
 
 
-def test_a_window_that_reads_nothing_at_all_delays_no_other(rig):
+def test_a_window_that_reads_nothing_delays_no_other(rig):
     with rig.window("00000000000000aa"), rig.window() as window:
         window.until(lambda w: len(w.images) >= 20)
 
@@ -289,7 +289,7 @@ def read_until_closed(rig, *messages):
             pass
 
 
-def test_a_server_that_ends_leaves_the_flight_as_it_was(rig):
+def test_a_server_that_ends_does_not_change_the_flight(rig):
     rig.has_target, rig.mode = True, Mode.FOLLOW
     with rig.window() as window:
         window.order("farther")
@@ -319,7 +319,7 @@ def test_an_error_inside_the_page_is_told_once_and_harms_nothing_else(rig, monke
     assert "KeyError" in line
 
 
-def test_the_stand_off_that_is_kept_is_shown_where_it_is_not_the_wished_one(rig):
+def test_the_stand_off_that_is_kept_is_shown_where_it_differs_from_the_chosen_one(rig):
     with rig.window() as window:
         window.until(lambda w: w.status.get("standoff_m") == 12.0 and w.status.get("kept") == "")
         rig.consoles.kept = lambda: KeptStandoff(17.6, "the target is far below")
@@ -336,13 +336,13 @@ def test_the_charge_is_that_of_the_autopilot_if_it_knows():
     assert LinkObservations().charge_percent() is None
 
 
-def test_a_dry_run_is_told_in_the_state(tmp_path):
+def test_the_state_shows_a_dry_run(tmp_path):
     with PageRig(tmp_path / "now", suffix="(DRY RUN)") as rig, rig.window() as window:
         rig.has_target, rig.mode = True, Mode.FOLLOW
         window.until(lambda w: w.status.get("state") == "FOLLOWING (DRY RUN)")
 
 
-def test_before_the_flight_a_window_sees_what_is_said_and_can_order_nothing(tmp_path):
+def test_before_the_flight_a_window_shows_messages_and_can_order_nothing(tmp_path):
     with PageRig(tmp_path / "now") as rig:
         rig.exchange.is_flying = False
         rig.report("waiting for a vehicle")
@@ -368,7 +368,7 @@ NO_ACTS = (
 
 
 @pytest.mark.parametrize("text", NO_ACTS)
-def test_a_message_that_is_no_act_is_answered_and_nothing_else(rig, text):
+def test_a_message_that_is_no_act_gets_a_reply_and_has_no_effect(rig, text):
     with pytest.raises(ValueError, match=r"message|one of|number of a frame|box is|of a box|the box"):
         read_act(text, "page 1")
     with rig.window() as window:

@@ -74,7 +74,7 @@ def test_another_site_cannot_open_a_window_or_write(rig):
     error.value.close()
 
 
-def test_a_name_that_was_pointed_here_is_refused(rig):
+def test_a_request_for_another_host_name_is_refused(rig):
     for host in ("evil.example", f"evil.example:{rig.port}", "127.0.0.1.evil.example", "", "[", "192.168.1.7"):
         code, words = refused(rig, "/", Host=host)
         assert code == 403
@@ -124,7 +124,7 @@ def test_a_token_lets_in_once_in_the_address_then_as_a_cookie(tmp_path):
             window.until(lambda w: w.images)
 
 
-def test_another_address_than_loopback_is_never_without_a_token(tmp_path):
+def test_an_address_other_than_loopback_always_needs_a_token(tmp_path):
     for host in ("0.0.0.0", "192.168.1.7", "::", "drone.local"):
         with pytest.raises(ValueError, match="needs a token"):
             PageRig(tmp_path / "now", "", host)
@@ -154,7 +154,7 @@ def test_every_address_that_is_printed_is_one_at_which_the_page_can_be_opened(tm
             assert opener.open(request, timeout=5.0).read() == HTML.read_bytes()
 
 
-def test_an_address_is_read():
+def test_an_address_is_parsed():
     assert parse_page_address("127.0.0.1:8080") == PageAddress("127.0.0.1", 8080)
     assert parse_page_address("[::1]:8080").urls("x") == ("http://[::1]:8080/?token=x",)
     for text in ("8080", "127.0.0.1", ":8080", "127.0.0.1:0", "127.0.0.1:65536", "127.0.0.1:٨", ""):
@@ -221,7 +221,7 @@ OUTSIDE = (
 
 
 @pytest.mark.parametrize("path", OUTSIDE)
-def test_no_word_of_a_request_leads_out_of_the_listing(flights, path):
+def test_no_request_path_leads_out_of_the_listing(flights, path):
     assert refused(flights, f"/recordings/{path}")[0] == 404
 
 

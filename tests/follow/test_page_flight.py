@@ -43,7 +43,7 @@ def passes(link, seconds):
 
 @pytest.mark.parametrize("autopilot", list(Autopilot))
 @pytest.mark.parametrize("name", ["walker", "runner", "cyclist", "car"])
-def test_the_pilot_keeps_the_target_before_the_camera(name, autopilot):
+def test_the_simulated_pilot_keeps_the_target_in_the_image(name, autopilot):
     link, world, scenario = piloted(name, autopilot)
     for _ in range(10):
         passes(link, 3.0)
@@ -73,7 +73,7 @@ def test_the_vehicle_obeys_after_take_control_and_hovers_after_the_stream(autopi
     assert abs(off_rad) < 0.3
 
 
-def test_a_late_round_is_not_caught_up_with_a_burst():
+def test_a_late_round_causes_no_burst_of_rounds():
     link, _, _ = piloted()
     now = [10.0]
     pace = RealTimePace(link, lambda: now[0])
@@ -143,7 +143,7 @@ def test_a_person_selects_follows_and_stops_in_a_simulated_flight(tmp_path):
 
 
 @pytest.mark.realtime
-def test_a_page_that_dies_in_flight_leaves_the_flight_as_it_was(tmp_path):
+def test_a_page_that_fails_in_flight_does_not_change_the_flight(tmp_path):
     """Its thread is killed inside the program while the vehicle follows by an order of its window."""
     (port,) = free_ports(1)
     host, out = f"127.0.0.1:{port}", tmp_path / "flight"

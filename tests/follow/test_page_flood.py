@@ -54,7 +54,7 @@ def closed(window) -> tuple[int, str]:
 
 
 @pytest.mark.parametrize("kind", FLOODS)
-def test_who_floods_is_cut_off_with_the_reason_and_a_line_and_the_window_beside_goes_on(rig, kind):
+def test_a_flooding_window_is_disconnected_with_a_reason_and_a_line_and_other_windows_go_on(rig, kind):
     with rig.window() as honest, rig.window("fedcba9876543210") as flooder:
         flooder.until(lambda w: w.images)
         flooder.socket.socket.sendall(FLOODS[kind])

@@ -26,12 +26,12 @@ def test_without_a_target_the_page_says_how_to_select_one(reason):
     assert read(Mode.OBSERVE, reason, TrackingState.IDLE) == (SELECT, TO_SELECT)
 
 
-def test_what_else_forbids_follow_is_read_before_a_target_is_selected():
+def test_other_reasons_against_follow_are_shown_before_a_target_is_selected():
     reason = Reason(Cause.NOT_READY, "the vehicle is not armed")
     assert read(Mode.OBSERVE, reason, TrackingState.IDLE) == (SELECT, "the vehicle is not armed")
 
 
-def test_a_target_that_is_not_seen_yet_is_no_reason_to_give_up():
+def test_while_the_target_is_not_seen_yet_the_page_says_to_wait():
     assert read(Mode.OBSERVE, Reason(Cause.NOT_READY, UNSEEN)) == (
         "NOT READY",
         "target not seen: wait, or draw the box again",
@@ -72,7 +72,7 @@ def test_a_target_that_is_selected_after_a_stop_is_tracked_not_stopped(tmp_path)
         window.until(lambda w: w.status["state"] == "STOPPED")
 
 
-def test_what_forbids_follow_of_a_near_target_tells_a_near_one_from_one_of_unknown_range():
+def test_the_refusal_of_follow_distinguishes_a_near_target_from_one_of_unknown_range():
     near, limits = Estimate(0.0, 0.0, 0.3, 2.0, 0.5, seen_t_s=0.0), Limits()
     assert "fly back" in too_near(near, limits)
     for uncertain in (

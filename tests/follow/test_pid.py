@@ -32,7 +32,7 @@ def test_after_long_saturation_the_output_leaves_the_limit_as_the_error_turns():
     assert pid.update(-0.5, 5.5, DT) < 0.6
 
 
-def test_a_jump_of_the_wanted_value_does_not_kick_the_derivative():
+def test_a_step_of_the_setpoint_causes_no_derivative_kick():
     quiet, jumped = Pid(Gains(kp=0.0, kd=1.0)), Pid(Gains(kp=0.0, kd=1.0))
     for wanted in (0.0, 0.0, 10.0):
         quiet.update(0.0 - 2.0, 2.0, DT)
@@ -63,7 +63,7 @@ def test_twice_half_the_step_integrates_the_same():
     assert twice.update(2.0, 0.0, DT / 2) == pytest.approx(out)
 
 
-def test_reset_forgets():
+def test_reset_clears_the_state():
     pid = Pid(Gains(kp=1.0, ki=1.0, kd=1.0))
     pid.update(1.0, 3.0, DT)
     pid.reset()

@@ -46,7 +46,7 @@ def feet_at(row, column=320.0):
 
 @given(st.floats(5.0, 400.0), st.floats(3.0, 50.0), st.floats(-0.3, 0.3), st.floats(0.0, 0.6))
 @example(97.5, 3.0, 0.0, 0.0)  # half a metre, rounded either way
-def test_what_stands_within_reach_is_taken_and_what_stands_farther_is_not(away_m, height_m, pitch, down):
+def test_targets_within_reach_are_accepted_and_farther_ones_are_not(away_m, height_m, pitch, down):
     below = math.atan2(height_m, away_m)
     off_axis = below - (down - pitch)  # nose up lifts the optical axis
     if abs(off_axis) > 0.4 or abs(away_m / REACH_M - 1.0) < 1e-6:
@@ -64,7 +64,7 @@ def test_the_sky_is_refused_by_the_attitude(pitch):
     assert why_out_of_reach(flying(pitch_rad=pitch), feet_at(horizon + 60.0), 5.0) == ""
 
 
-def test_in_a_turn_the_horizon_is_aslant():
+def test_in_a_turn_the_horizon_is_tilted():
     roll = math.radians(20.0)
     left, right = (why_out_of_reach(flying(roll_rad=roll), feet_at(LENS.cy, column), 5.0) for column in (100, 540))
     assert [bool(left), bool(right)] in ([True, False], [False, True])
@@ -84,7 +84,7 @@ class AtOnce:
 
 
 @pytest.mark.parametrize("looks", [None, AtOnce()])
-def test_a_tap_out_of_reach_leaves_the_target_before_and_a_drawn_box_is_taken(looks):
+def test_a_tap_out_of_reach_keeps_the_previous_target_and_a_drawn_box_is_accepted(looks):
     recent, follower = RecentFrames(Film(40)), Follower()
     selector = Selector(
         follower.init, follower.track, recent, lambda: None, looks=looks, snap=lambda _i, x, y: Box(x, y, 20, 20)

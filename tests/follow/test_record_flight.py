@@ -131,7 +131,7 @@ def test_a_note_is_logged_once_however_its_number_changes(monkeypatch):
     assert said == ["1 frame is 0.20 s old", "152 frame is 0.50 s old", "152 fence"]
 
 
-def test_a_note_that_is_the_reason_for_the_mode_is_not_said_twice(monkeypatch):
+def test_a_note_that_is_the_reason_for_the_mode_is_not_repeated(monkeypatch):
     from follow.recording import rerun_log  # noqa: PLC0415
 
     said: list[str] = []
@@ -144,7 +144,7 @@ def test_a_note_that_is_the_reason_for_the_mode_is_not_said_twice(monkeypatch):
     assert said == ["held by fence"]
 
 
-def test_every_mode_has_a_colour_of_its_meaning():
+def test_every_mode_has_a_colour_by_its_meaning():
     from follow.recording.layout import GREEN, GREY, MODE_COLOURS, RED  # noqa: PLC0415
 
     assert set(MODE_COLOURS) == set(Mode)
@@ -152,7 +152,7 @@ def test_every_mode_has_a_colour_of_its_meaning():
     assert [m for m, colour in MODE_COLOURS.items() if colour == RED] == [Mode.BRAKE]
 
 
-def test_what_never_happened_is_empty():
+def test_columns_without_a_value_are_empty():
     assert str(NEVER) not in row(0, tick(0))
 
 

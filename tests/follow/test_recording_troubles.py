@@ -32,7 +32,7 @@ def outcomes(out: Path) -> list[str]:
     return [r.outcome for r in read_exact(out / "messages.jsonl.gz").rounds]
 
 
-def test_a_viewer_that_takes_the_connection_and_hangs_or_is_gone_changes_no_setpoint(clip, tmp_path):
+def test_a_viewer_that_accepts_and_hangs_or_is_gone_changes_no_setpoint(clip, tmp_path):
     assert replay(clip, tmp_path / "alone").returncode == 0
     with socket.create_server(("127.0.0.1", 0)) as hanging:
         port = hanging.getsockname()[1]

@@ -74,7 +74,7 @@ def recorded(folder: Path, count: int) -> list:
     return ticks
 
 
-def test_a_recording_reads_back_what_flowed(tmp_path):
+def test_a_recording_reads_back_every_message(tmp_path):
     ticks = recorded(tmp_path, 20)
     flight = read_exact(tmp_path / "messages.jsonl.gz")
     assert flight.setup == SETUP

@@ -75,7 +75,7 @@ def cannot_be(place, speed, lost_s):
 
 
 @cases
-def test_who_stands_where_the_target_could_not_have_gone_is_not_taken_then_or_later(lost_s, speed, place):
+def test_a_person_where_the_target_could_not_have_gone_is_accepted_neither_then_nor_later(lost_s, speed, place):
     if not cannot_be(place, speed, min(lost_s, KNOWN_S)):
         pytest.skip("the target may have gone there")
     watcher = Watcher(speed)
@@ -86,7 +86,7 @@ def test_who_stands_where_the_target_could_not_have_gone_is_not_taken_then_or_la
 @pytest.mark.parametrize("lost_s", [0.8, 2.0, 4.0, 6.0])
 @pytest.mark.parametrize("speed", [0.0, 1.4, 3.0])
 @pytest.mark.parametrize("kept", [0.0, 0.5, 1.0])
-def test_the_target_is_found_again_wherever_it_went_on_its_way(lost_s, speed, kept):
+def test_the_target_is_found_again_anywhere_along_its_path(lost_s, speed, kept):
     """It kept a part of its speed."""
     watcher = Watcher(speed)
     taken_s = watcher.finds(lambda t: (kept * speed * t, 0.0), lost_s, 2.0)
@@ -95,26 +95,26 @@ def test_the_target_is_found_again_wherever_it_went_on_its_way(lost_s, speed, ke
     assert not watcher.estimate.doubt
 
 
-def test_the_target_is_found_after_somebody_else_was():
+def test_the_target_is_found_after_somebody_else_was_found():
     watcher = Watcher(1.4)
     assert watcher.finds(lambda _t: (4.0, 12.0), 2.0, 1.0) is None
     assert watcher.finds(lambda t: (1.4 * t, 0.0), 3.5, 1.0) is not None
 
 
-def test_somebody_else_is_remembered_where_he_went():
+def test_the_memory_of_somebody_else_moves_with_that_person():
     """He stands ahead, where the target cannot be yet, strolls on for a moment unseen, and the target's time comes."""
     watcher = Watcher(1.4)
     assert watcher.finds(lambda _t: (16.0, 0.0), 1.0, 1.0) is None
     assert watcher.finds(lambda _t: (15.0, 1.0), 9.0, 2.0) is None
 
 
-def test_one_wrong_frame_far_away_makes_nobody_somebody_else():
+def test_one_wrong_box_far_away_is_not_remembered_as_somebody_else():
     watcher = Watcher(1.4)
     assert watcher.finds(lambda _t: (16.0, 0.0), 1.0, DT) is None
     assert watcher.finds(lambda _t: (14.0, 0.0), 10.0, 2.0) is not None
 
 
-def test_a_jump_of_the_vehicles_own_position_takes_the_others_along():
+def test_a_position_reset_moves_remembered_people_also():
     watcher = Watcher(1.4)
     assert watcher.finds(lambda _t: (16.0, 0.0), 1.0, 1.0) is None
     (other,) = watcher.target.regain.others
@@ -126,7 +126,7 @@ def test_a_jump_of_the_vehicles_own_position_takes_the_others_along():
 
 
 @pytest.mark.parametrize("place", [(0.0, 0.0), (2.0, 5.0), (20.0, -6.0)])
-def test_whoever_is_found_while_the_target_is_lost_is_told_as_a_place_for_a_second(place):
+def test_the_position_of_a_person_found_while_the_target_is_lost_is_reported_for_a_second(place):
     watcher = Watcher(3.0)
     watcher.finds(lambda _t: place, 8.0, DT)
     state = watcher.state(watcher.last_s + 8.0, place)
@@ -139,7 +139,7 @@ def test_whoever_is_found_while_the_target_is_lost_is_told_as_a_place_for_a_seco
     assert watcher.target.estimate(replace(state, t_s=state.t_s + 1.5)).other is None
 
 
-def test_a_box_that_is_none_or_stands_in_the_air_is_nobody():
+def test_an_invalid_box_or_one_above_the_ground_is_no_person():
     watcher = Watcher(0.0)
     state = watcher.state(watcher.last_s + 2.0, (0.0, 0.0))
     true = box_of((0.0, 0.0), state)
@@ -150,7 +150,7 @@ def test_a_box_that_is_none_or_stands_in_the_air_is_nobody():
         assert watcher.target.update(seen(box), state, state.t_s).other is None
 
 
-def test_the_operator_and_the_pilot_are_told_once():
+def test_the_operator_and_the_pilot_are_notified_once():
     lines, sent = [], []
 
     class Pilot:

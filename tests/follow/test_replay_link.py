@@ -71,7 +71,7 @@ def test_a_stream_that_stops_is_flown_on_for_the_measured_time_and_then_stopped(
     assert link.refused["stream timeout"] == 1
 
 
-def test_a_vehicle_that_holds_its_place_still_turns_and_climbs():
+def test_a_vehicle_that_holds_its_position_still_turns_and_climbs():
     link = ReplayLink(FPS, 10.0, holds_place=True)
     fly(link, Setpoint(3.0, 1.0, -1.0, 0.3), 4.0)
     state = link.state()

@@ -34,7 +34,7 @@ def recorded(folder, *, setup: Setup | None = SETUP) -> None:
                 recorder.message("<b>somebody</b> & the pilot")
 
 
-def test_the_page_says_what_happened_and_holds_everything(tmp_path):
+def test_the_report_tells_what_happened_and_is_self_contained(tmp_path):
     recorded(tmp_path)
     assert main(["report", str(tmp_path)]) == 0
     page = (tmp_path / "report.html").read_text()

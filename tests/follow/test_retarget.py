@@ -26,14 +26,14 @@ def after_choice(seconds, found_after_s=None):
 
 
 @pytest.mark.parametrize("found_after_s", [2 * DT, 0.2, 0.5, 3.0, 6.0])
-def test_it_follows_as_soon_as_who_was_chosen_is_found(found_after_s):
+def test_following_begins_as_soon_as_the_chosen_person_is_found(found_after_s):
     decisions = after_choice(found_after_s + 1.0, found_after_s)
     assert decisions[-1].mode == "follow"
     assert "hold" not in {decision.mode.value for decision in decisions}
     assert decisions[-1].setpoint.forward_m_s > 0.5
 
 
-def test_until_then_it_brakes_and_gives_up_after_the_same_time_as_for_a_lost_target():
+def test_until_the_choice_is_found_it_brakes_and_gives_up_as_for_a_lost_target():
     decisions = after_choice(LIMITS.give_up_after_s + 1.0)
     modes = [decision.mode.value for decision in decisions]
     assert list(dict.fromkeys(modes)) == ["follow", "coast", "search", "hold"]
@@ -45,7 +45,7 @@ def test_until_then_it_brakes_and_gives_up_after_the_same_time_as_for_a_lost_tar
 
 @pytest.mark.parametrize("lost_s", [5.0, 19.0, 40.0])
 @pytest.mark.parametrize("range_m", [2.0, 6.0, 30.0])
-def test_from_a_target_that_may_be_anywhere_the_vehicle_does_not_flee(lost_s, range_m):
+def test_the_vehicle_does_not_retreat_from_a_target_of_unknown_position(lost_s, range_m):
     """In SEARCH and HOLD it hovers; a target that is seen keeps its distance at once."""
     safety, t_s = engaged()
     for i in range(1, round(lost_s / DT)):
@@ -64,7 +64,7 @@ def test_from_a_target_that_may_be_anywhere_the_vehicle_does_not_flee(lost_s, ra
 
 @pytest.mark.parametrize("range_m", [2.0, 3.0])
 @pytest.mark.parametrize("lost_s", [1.0, 6.0])
-def test_somebody_who_is_found_while_the_target_is_lost_is_kept_from(range_m, lost_s):
+def test_the_stand_off_to_somebody_found_while_the_target_is_lost_is_kept(range_m, lost_s):
     """He stands before the vehicle, in COAST and in SEARCH; the lost target is expected far away."""
     safety, t_s = engaged()
     for i in range(1, round((lost_s + 1.5) / DT)):
@@ -79,7 +79,7 @@ def test_somebody_who_is_found_while_the_target_is_lost_is_kept_from(range_m, lo
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("field", ["azimuth_rad", "range_m", "below_m"])
-def test_a_sighting_that_is_not_finite_counts_as_none(field, value):
+def test_a_sighting_that_is_not_finite_is_ignored(field, value):
     safety, t_s = engaged()
     for i in range(1, 200):
         now = t_s + i * DT
@@ -89,7 +89,7 @@ def test_a_sighting_that_is_not_finite_counts_as_none(field, value):
     assert decision.setpoint.forward_m_s == pytest.approx(0.0, abs=1e-9)
 
 
-def test_unseen_it_does_not_descend():
+def test_the_vehicle_does_not_descend_to_an_unseen_target():
     safety, t_s = engaged()
     for decision in fly(safety, t_s, 6.0, Setpoint(0.0, 0.0, 2.0), seen_t_s=t_s)[30:]:
         assert decision.setpoint.down_m_s < 0.05

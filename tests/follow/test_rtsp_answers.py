@@ -27,7 +27,7 @@ class Wire:
         return got
 
 
-def test_an_answer_with_a_body_is_read_to_its_end(monkeypatch):
+def test_a_reply_with_a_body_is_read_to_its_end(monkeypatch):
     wire = Wire(HEAD + b"Content-Length: 5\r\n\r\nhello" + b"$", monkeypatch)
     assert answer_of(wire) == (200, {"session": "7", "content-length": "5"})
     assert wire.data == b"$"
@@ -36,7 +36,7 @@ def test_an_answer_with_a_body_is_read_to_its_end(monkeypatch):
 
 @pytest.mark.parametrize("data", [HEAD * 200, HEAD + b"Content-Length: 99999999\r\n\r\n" + b"x" * 5000])
 @pytest.mark.parametrize(("piece", "pause_s"), [(1, 0.1), (10, 0.5), (1, 1.9), (1, 5.0)])
-def test_an_answer_that_drips_ends_in_time(data, piece, pause_s, monkeypatch):
+def test_a_reply_that_arrives_slowly_ends_in_time(data, piece, pause_s, monkeypatch):
     wire = Wire(data, monkeypatch, piece, pause_s)
     with pytest.raises(OSError, match=r"timed out|has no end"):
         answer_of(wire)
@@ -47,7 +47,7 @@ def test_an_answer_that_drips_ends_in_time(data, piece, pause_s, monkeypatch):
     "first",
     ["RTSP/1.0 " + "9" * 5000 + " OK", "RTSP/1.0 20 OK", "RTSP/1.0 \u0664\u0660\u0664 OK", "HTTP/1.1 200 OK", ""],
 )
-def test_what_is_no_answer_is_refused_in_one_line(first, monkeypatch):
+def test_an_invalid_reply_is_refused_in_one_line(first, monkeypatch):
     with pytest.raises(OSError, match="does not speak RTSP") as refused:
         answer_of(Wire(f"{first}\r\n\r\n".encode(), monkeypatch))
     assert "\n" not in str(refused.value)

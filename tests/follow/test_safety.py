@@ -77,7 +77,7 @@ def test_a_yaw_rate_ramps():
     assert YawRateRamp(0.0).towards(9.0, 0.1, 1.5, 6.0) == YawRateRamp(pytest.approx(0.6))
 
 
-def test_nothing_is_sent_before_the_operator_asks():
+def test_nothing_is_sent_before_the_operators_order():
     assert all(d.setpoint is None for d in fly(Safety(LIMITS), 0.0, 5.0, Setpoint(1.0)))
 
 
@@ -133,7 +133,7 @@ def test_follow_is_not_refused_because_the_estimators_zero_lies_low(error_m):
 
 
 @pytest.mark.parametrize(("height", "sink"), [(LIMITS.floor_m + 0.2, 2.0), (LIMITS.floor_m + 1.0, 1.0)])
-def test_engaging_does_not_keep_up_a_descent_through_the_floor(height, sink):
+def test_engaging_does_not_continue_a_descent_through_the_floor(height, sink):
     safety = Safety(LIMITS)
     safety.order(Order.FOLLOW)
     sinking = fly(safety, 0.0, 2.0, HOVER, in_control=False, down_m=-height, down_m_s=sink)
@@ -142,7 +142,7 @@ def test_engaging_does_not_keep_up_a_descent_through_the_floor(height, sink):
     assert max(sent) <= max((height - LIMITS.floor_m) / 1.5, 0.0) + 1e-9
 
 
-def test_engaging_does_not_keep_up_a_rush_at_the_target():
+def test_engaging_does_not_continue_a_fast_approach_to_the_target():
     safety = Safety(LIMITS)
     safety.order(Order.FOLLOW)
     for n in range(60):
@@ -154,7 +154,7 @@ def test_engaging_does_not_keep_up_a_rush_at_the_target():
     assert decision.mode == "engage"
 
 
-def test_an_autopilot_that_does_not_obey_is_left_in_peace():
+def test_control_of_an_autopilot_that_does_not_obey_is_given_up():
     safety = Safety(LIMITS)
     safety.order(Order.FOLLOW)
     decisions = fly(safety, 0.0, 8.0, HOVER, in_control=False)
@@ -214,14 +214,14 @@ def test_a_takeover_ends_the_stream_at_once_and_for_good():
     assert all(d.setpoint is None for d in fly(safety, t_s + 1, 5.0, Setpoint(2.0)))
 
 
-def test_the_operator_can_ask_again_after_a_takeover():
+def test_the_operator_can_order_again_after_a_takeover():
     safety, t_s = engaged()
     fly(safety, t_s, DT, HOVER, in_control=False)
     safety.order(Order.FOLLOW)
     assert fly(safety, t_s + 1, 0.2, HOVER)[-1].mode == "follow"
 
 
-def test_observe_silences_at_once():
+def test_observe_stops_the_stream_at_once():
     safety, t_s = engaged()
     safety.order(Order.OBSERVE)
     assert fly(safety, t_s, DT, Setpoint(2.0))[0].setpoint is None
@@ -253,14 +253,14 @@ def test_stale_data_ramp_to_zero_and_stop_the_stream(stopped):
     assert math.hypot(last.forward_m_s, last.right_m_s) < 0.1
 
 
-def test_a_short_stall_is_ridden_out():
+def test_a_short_stall_does_not_end_following():
     safety, t_s = engaged()
     fly(safety, t_s, 0.4, Setpoint(2.0), frame_t_s=t_s)
     assert fly(safety, t_s + 0.4, 0.2, Setpoint(2.0))[-1].mode == "follow"
 
 
 @pytest.mark.parametrize(("height", "desired"), [(1.5, 1.0), (101.0, -1.0)])
-def test_beyond_the_altitude_band_the_vehicle_is_led_back_slowly(height, desired):
+def test_outside_the_altitude_band_the_vehicle_returns_slowly(height, desired):
     safety, t_s = engaged()
     sent = fly(safety, t_s, 1.0, Setpoint(down_m_s=desired), down_m=-height)[-1].setpoint
     assert sent is not None
@@ -283,14 +283,14 @@ def test_the_gate_is_a_function_of_its_state():
     assert decide(safety.gate, *args) == decide(safety.gate, *args)
 
 
-def test_the_clock_jumping_back_ramps_nothing():
+def test_a_clock_that_jumps_back_changes_no_setpoint():
     safety, t_s = engaged()
     before = safety.gate
     safety.allow(Setpoint(5.0), seen(t_s - 50), flying(t_s - 50), t_s - 50)
     assert safety.gate.horizontal.v == before.horizontal.v
 
 
-def test_above_a_near_target_it_does_not_descend_but_leaves():
+def test_above_a_near_target_it_retreats_and_does_not_descend():
     safety, t_s = engaged(down_m=-6.0)
     for i in range(1, 60):
         now = t_s + i * DT
@@ -314,14 +314,14 @@ def test_an_untouched_gate_observes():
     assert Gate().t_s == NEVER
 
 
-def test_an_order_that_could_not_be_obeyed_for_long_is_void():
+def test_an_order_that_cannot_be_granted_for_long_expires():
     safety = Safety(LIMITS)
     safety.order(Order.FOLLOW)
     fly(safety, 0.0, 31.0, HOVER, armed=False)
     assert fly(safety, 31.0, 1.0, HOVER)[-1].mode == "ready"
 
 
-def test_after_holding_the_operator_can_ask_again():
+def test_after_holding_the_operator_can_order_again():
     safety, t_s = engaged()
     fly(safety, t_s, 30.0, HOVER, seen_t_s=t_s)
     assert fly(safety, t_s + 30, 1.0, HOVER)[-1].mode == "hold"
@@ -345,7 +345,7 @@ def test_an_estimate_that_is_not_finite_counts_as_unseen():
 
 
 @given(st.floats(-20, 20), st.floats(-20, 20))
-def test_out_of_the_view_nothing_is_flown_faster_than_blind_speed(forward, right):
+def test_outside_the_cameras_view_the_speed_is_limited_to_blind_speed(forward, right):
     f, r = in_view(forward, right, LIMITS)
     seen_angles = [LIMITS.half_view_rad * i / 50 for i in range(-50, 51)]
     lengths = [max(f * math.cos(a) + r * math.sin(a), 0.0) for a in seen_angles]
@@ -362,7 +362,7 @@ def test_beyond_the_fence_no_velocity_leads_outward(north, east, out_north, out_
 
 
 @pytest.mark.parametrize("speed", [2.0, 8.0])
-def test_a_vehicle_that_answers_late_stops_before_the_border(speed):
+def test_a_vehicle_with_a_late_response_stops_before_the_border(speed):
     """A vehicle with half a second of lag behind the ramps, flown at the border at full speed."""
     room, v, ramp = 60.0, 0.0, VelocityRamp()
     for _ in range(3000):
@@ -386,7 +386,7 @@ def test_a_note_says_which_speed_limit_acts():
 
 
 @given(st.floats(-0.5, 0.5), st.floats(0, 200))
-def test_no_drift_carries_the_vehicle_over_the_altitude_band(drift, height_m):
+def test_drift_is_compensated_at_floor_and_ceiling(drift, height_m):
     """At floor and ceiling what is allowed and the drift together stay within what is allowed without a drift."""
     state = flying(1.0, down_m=-height_m)
     still, drifting = (Worst(0.0, 12.0, 0.0, 0.0, drift_down_m_s=d) for d in (0.0, drift))

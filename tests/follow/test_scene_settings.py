@@ -27,7 +27,7 @@ def recorded(tmp_path, *words: str):
     return path, scene
 
 
-def test_what_a_person_chose_is_kept_and_what_the_scene_gave_is_not(tmp_path):
+def test_settings_of_the_user_are_kept_and_those_of_the_scene_are_not(tmp_path):
     path, scene = recorded(tmp_path, "sim", "car", "--limits.accel-m-s2", "3", "--servo.standoff-m", "30")
     kept = read_settings(path)
     assert (kept.limits.accel_m_s2, kept.servo.standoff_m) == (3.0, 30.0)
@@ -77,7 +77,7 @@ def test_a_derived_table_of_any_form_is_passed_over(tmp_path, text):
     assert scene_values(path) == {}
 
 
-def test_each_note_of_a_limit_names_settings_that_there_are():
+def test_each_note_of_a_limit_names_existing_settings():
     known = {field.name for field in dataclasses.fields(Limits)}
     for text in HELD.values():
         assert set(re.findall(r"limits\.(\w+)", text)) <= known

@@ -105,7 +105,7 @@ def test_no_round_tracks_more_than_its_share_of_frames():
         assert follower.tracked - before <= CATCH_UP
 
 
-def test_a_stop_leaves_no_target_and_the_next_selection_starts_anew():
+def test_a_stop_leaves_no_target_and_the_next_selection_starts_again():
     recent, follower = RecentFrames(Film(20)), Follower()
     selector = Selector(follower.init, follower.track, recent, lambda: None, Box(50, 100, SIDE, SIDE))
     seen = []
@@ -128,7 +128,7 @@ def test_a_stop_leaves_no_target_and_the_next_selection_starts_anew():
         (Selection(0.95, 0.95, 0.0, 0.0, 1.6, "a test"), "nothing stands out"),
     ],
 )
-def test_what_nobody_could_mean_is_refused_in_words(selection, why):
+def test_an_impossible_selection_is_refused_with_a_reason(selection, why):
     class Sky(Film):
         def frames(self):
             for frame in super().frames():
@@ -165,7 +165,7 @@ class Later:
 
 @pytest.mark.parametrize("is_grey", [True, False])
 @pytest.mark.parametrize("is_kerb", [True, False])
-def test_a_horizon_and_a_kerb_are_refused_because_nothing_says_where_along_them(is_kerb, is_grey):
+def test_edges_without_corners_are_refused_because_the_place_along_them_is_ambiguous(is_kerb, is_grey):
     image = np.clip(np.random.default_rng(0).normal(130, 2, (360, 360, 3)), 0, 255).astype(np.uint8)
     image[180:] -= 70
     image[165:195, 40:52] = 20  # somebody before it
@@ -180,7 +180,7 @@ def test_a_horizon_and_a_kerb_are_refused_because_nothing_says_where_along_them(
     assert isinstance(drawn(0.1, 0.45, 0.05, 0.1), Box)
 
 
-def test_of_taps_that_wait_only_the_newest_is_looked_at():
+def test_of_queued_taps_only_the_newest_is_processed():
     recent, follower, later = RecentFrames(Film(60)), Follower(), Later()
     selector = Selector(follower.init, follower.track, recent, lambda: None, looks=later)
     for _ in recent.frames():
@@ -196,7 +196,7 @@ def test_of_taps_that_wait_only_the_newest_is_looked_at():
 
 
 @pytest.mark.parametrize("has_begun", [True, False])
-def test_a_box_that_is_drawn_while_a_tap_is_looked_at_stays(has_begun):
+def test_a_box_that_is_drawn_while_a_tap_is_processed_is_kept(has_begun):
     recent, follower, later = RecentFrames(Film(60)), Follower(), Later()
     selector = Selector(follower.init, follower.track, recent, lambda: None, looks=later)
     heard = []
@@ -242,7 +242,7 @@ def test_recent_frames_are_bounded_by_time_and_by_bytes():
     assert len(few.kept) == 10
 
 
-def test_a_tap_on_a_speck_of_the_ground_selects_nothing():
+def test_a_tap_on_a_small_spot_of_the_ground_selects_nothing():
     image = np.full((360, 640, 3), 90, np.uint8)
     image[180:184, 300:304] = (40, 60, 230)
     assert box_at(image, 302, 182) is not None, "it stands out"

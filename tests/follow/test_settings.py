@@ -206,7 +206,7 @@ def installed(folder: Path, **changed: float) -> Path:
     return file_of(folder, text)
 
 
-def test_the_installed_file_with_another_lens_and_delay_gives_the_gate_that_view_and_that_age(tmp_path, monkeypatch):
+def test_the_installed_file_with_another_lens_and_delay_gives_the_gate_their_limits(tmp_path, monkeypatch):
     """The bug: the file's own lines counted as chosen, and the gate kept 35 degrees and no delay."""
     monkeypatch.setattr(cli_run, "LiveVideo", Still)
     words = ("--camera", "/dev/video0", "--target", "1,2,30,40")
@@ -231,7 +231,7 @@ def test_nothing_is_left_to_be_derived_once_the_camera_is_known():
     assert keys(tomllib.loads(as_toml(resolved))) == names(Config())
 
 
-def test_the_kind_of_target_lies_above_the_scenario_and_below_file_and_command_line(tmp_path):
+def test_the_kind_of_target_overrides_the_scenario_and_yields_to_file_and_command_line(tmp_path):
     path = file_of(tmp_path, "[servo]\nstandoff_m = 30.0\n")
     words = ("--camera", "scene:runner", "--for", "car", "--settings", str(path), "--limits.speed-m-s", "11")
     config = run_command(*words).config
@@ -296,7 +296,7 @@ def test_a_wrong_file_is_one_line_with_thing_rule_and_value(tmp_path, capfd, tex
 @pytest.mark.parametrize(
     ("name", "said"), [("none.toml", "No such file"), (".", "is not a regular file"), ("", "is not a")]
 )
-def test_a_file_that_is_none_is_one_line(tmp_path, monkeypatch, name, said):
+def test_an_invalid_settings_file_is_one_line(tmp_path, monkeypatch, name, said):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(UsageError, match=said) as refusal:
         read_settings(Path(name))
@@ -317,7 +317,7 @@ def hovering(height_m: float = 8.0) -> SimLink:
     return SimLink(Vehicle(Autopilot.PX4, VehicleTruth(down_m=-height_m)))
 
 
-def test_a_live_scene_is_flown_with_what_its_scenario_suggests_below_what_a_person_chose():
+def test_in_a_live_scene_settings_of_the_user_override_those_of_the_scenario():
     scenario = SCENARIOS["runner"]
     seen = open_scene(run_command("--camera", "scene:runner", "--limits.fence-m", "80"), hovering())
     assert seen.config.servo.standoff_m == scenario.standoff_m != ServoConfig().standoff_m
@@ -327,7 +327,7 @@ def test_a_live_scene_is_flown_with_what_its_scenario_suggests_below_what_a_pers
     assert replace(seen.config.limits, half_view_rad=None, latency_s=None) == wanted
 
 
-def test_camera_options_change_what_is_drawn_and_what_is_believed_alike():
+def test_camera_options_change_the_drawn_and_the_assumed_camera_alike():
     """The referee is the drawn camera: by where it draws the same target."""
     own = open_scene(run_command("--camera", "scene:walker"), hovering(6.0))
     words = ("--camera", "scene:walker", "--camera.fov-deg", "50", "--camera.down-deg", "35", "--camera.delay-s", "0.2")

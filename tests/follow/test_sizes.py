@@ -38,7 +38,7 @@ def by_two(_size: tuple[int, int]) -> int:
         ((3840, 2160), 96, 3),
     ],
 )
-def test_the_rule_as_the_page_states_it(size, side, shrink):
+def test_sizes_follow_the_rule_of_the_documentation(size, side, shrink):
     assert shrink_for(Box(10, 10, side, 2 * side))(size) == shrink_for(Box(10, 10, 3 * side, side))(size) == shrink
 
 
@@ -57,7 +57,7 @@ def large(count: int = 12):
         yield cv2.resize(image, BIG, interpolation=cv2.INTER_CUBIC), box.zoomed(3)
 
 
-def test_a_large_video_is_followed_and_scored_as_its_annotation_has_it(tmp_path, capfd):
+def test_a_large_video_is_followed_and_scored_in_the_pixels_of_its_annotation(tmp_path, capfd):
     shown = list(large())
     path = encode(tmp_path / "big.mp4", [image for image, _ in shown], codec_options={"preset": "ultrafast"})
     truth = tmp_path / "big.txt"
@@ -81,7 +81,7 @@ def test_a_target_outside_a_large_image_is_refused_in_its_own_pixels(tmp_path, c
     assert "1920x1080" in capfd.readouterr().err
 
 
-def test_what_is_shrunk_shows_the_same_and_bears_its_scale(tmp_path):
+def test_a_shrunk_image_shows_the_same_and_has_its_scale(tmp_path):
     (tmp_path / "folder").mkdir()
     for n in range(4):
         cv2.imwrite(str(tmp_path / "folder" / f"{n}.png"), numbered(n, (384, 240)))

@@ -41,7 +41,7 @@ def test_a_replay_with_a_box_that_cannot_start_moves_no_recording(capfd, tmp_pat
     assert {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()} == before
 
 
-def test_a_simulation_writes_over_itself_and_moves_any_other(capfd, brief, tmp_path):
+def test_a_simulation_overwrites_a_simulation_and_sets_other_recordings_aside(capfd, brief, tmp_path):
     words = ("sim", brief, "--record.no-pictures", "--out", tmp_path / "out")
     for _ in range(2):
         assert "is now in" not in follow(capfd, *words)[1]
@@ -79,7 +79,7 @@ def test_ctrl_c_in_a_flight_is_said_once(capfd, brief, tmp_path, monkeypatch):
         (("--servo.standoff-m", "2"), "servo.standoff_m 2 lies below limits.min_standoff_m 4"),
     ],
 )
-def test_what_no_vehicle_is_needed_to_refuse_is_refused_before_anything(capfd, tmp_path, monkeypatch, words, says):
+def test_errors_that_need_no_vehicle_are_refused_before_anything_is_opened(capfd, tmp_path, monkeypatch, words, says):
     monkeypatch.setattr("follow.cli.run.warm_up", lambda: pytest.fail("the tracker was warmed"))
     given = {"--link": "udpin:127.0.0.1:0", "--camera": "0", "--target": "1,2,30,40", "--out": tmp_path / "out"}
     given |= dict([words])
@@ -105,7 +105,7 @@ def test_a_stand_off_below_the_gates_minimum_is_refused_until_that_is_lowered(ca
     assert follow(capfd, *words, "--limits.min-standoff-m", "3")[0] == 0
 
 
-def test_doctor_says_of_a_scene_and_of_a_missing_key_what_they_are(capfd, tmp_path):
+def test_doctor_explains_a_scene_and_a_missing_key(capfd, tmp_path):
     _, err = follow(capfd, "doctor", "--camera", "scene:walker", "--out", tmp_path)
     assert "ok camera: a drawn scene" in err
     words = ("--link", "udpin:127.0.0.1:0", "--signing-key", tmp_path / "nokey")
@@ -114,7 +114,7 @@ def test_doctor_says_of_a_scene_and_of_a_missing_key_what_they_are(capfd, tmp_pa
     assert "; the link is not checked" in err
 
 
-def test_the_version_is_told(capfd):
+def test_the_version_is_printed(capfd):
     with pytest.raises(SystemExit) as stop:
         main(["--version"])
     assert stop.value.code == 0

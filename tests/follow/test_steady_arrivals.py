@@ -68,7 +68,7 @@ def test_a_steady_camera_is_fresh_for_half_an_hour_whatever_its_clock(ppm):
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("jitter_s", [0.003, 0.02])
-def test_jitter_costs_no_frame_and_makes_none_newer(seed, jitter_s):
+def test_jitter_drops_no_frame_and_makes_none_newer(seed, jitter_s):
     rng = np.random.default_rng(seed)
     taken = exposed(120.0)
     waits = np.where(rng.random(len(taken)) < 0.3, 0.0, rng.exponential(jitter_s, len(taken)))
@@ -83,7 +83,7 @@ def test_jitter_costs_no_frame_and_makes_none_newer(seed, jitter_s):
 @pytest.mark.parametrize("fps", [1000.0, 60.0, 33.0, 31.5])
 @pytest.mark.parametrize("began_s", [4.0, 12.0, 60.0])
 @pytest.mark.parametrize("stall_s", [0.2, 1.0, 5.0])
-def test_a_backlog_bears_its_age_however_slowly_it_is_caught_up(fps, began_s, stall_s):
+def test_frames_of_a_backlog_have_their_true_age_however_slowly_it_drains(fps, began_s, stall_s):
     taken = exposed(began_s + 100.0)
     arrivals = queued(taken, fps, began_s, stall_s)
     times, gave_up_s = clocked(arrivals)
@@ -94,7 +94,7 @@ def test_a_backlog_bears_its_age_however_slowly_it_is_caught_up(fps, began_s, st
     assert times[np.isfinite(times)].tolist() == sorted(times[np.isfinite(times)])
 
 
-def test_a_backlog_that_is_caught_up_soon_ends_and_frames_are_fresh_again():
+def test_after_a_backlog_that_drains_soon_frames_are_fresh_again():
     arrivals = queued(exposed(40.0), 300.0, 20.0, 1.0)
     times, gave_up_s = clocked(arrivals)
     ages = arrivals - times
@@ -106,7 +106,7 @@ def test_a_backlog_that_is_caught_up_soon_ends_and_frames_are_fresh_again():
 
 @pytest.mark.parametrize("fps", [29.0, 25.0, 15.0, 5.0])
 @pytest.mark.parametrize("began_s", [12.0, 60.0])
-def test_a_way_that_is_too_slow_is_noticed_and_given_up(fps, began_s):
+def test_a_connection_that_is_too_slow_is_detected_and_reopened(fps, began_s):
     """An overloaded machine or link: the queue grows for ever."""
     taken = exposed(began_s + 100.0)
     arrivals = queued(taken, fps, began_s)
@@ -128,7 +128,7 @@ def test_a_slower_rhythm_is_learned_by_a_new_connection_and_a_faster_one_is_at_o
     assert ages_s(faster, times).max() < 1e-9
 
 
-def test_a_backlog_after_the_rhythm_became_faster_is_paid_at_the_new_rate():
+def test_a_backlog_after_the_rate_increased_is_dated_at_the_new_rate():
     """At the old period, twice as long, each frame of the backlog would pay back more than it caught up."""
     taken = np.append(exposed(20.0, 15.0), 20.0 + exposed(60.0, 30.0))
     arrivals = queued(taken, 33.0, 40.0, 1.0)
@@ -147,7 +147,7 @@ def test_lost_frames_make_others_seem_older_for_a_moment_only(lost):
     assert understated_s(kept, times).max() < 1e-9
 
 
-def test_a_hole_without_a_backlog_is_forgiven_once_the_rhythm_is_back():
+def test_a_gap_without_a_backlog_is_forgotten_once_the_rate_is_back():
     taken = exposed(40.0)
     kept = taken[(taken < 20.0) | (taken > 21.0)]
     times, gave_up_s = clocked(kept)
@@ -194,7 +194,7 @@ class SimulatedPipe:
 
 @pytest.mark.parametrize("seed", range(12))
 @pytest.mark.parametrize("most", [32_768, 1_000_000])
-def test_what_waited_in_a_pipe_is_never_told_to_be_newer_than_it_is(seed, most):
+def test_frames_queued_in_a_pipe_are_never_dated_too_new(seed, most):
     rng = np.random.default_rng(seed)
     largest = int(rng.choice([20_000, 200_000]))
     written = np.cumsum(rng.exponential(0.03, 300))

@@ -135,7 +135,7 @@ def test_only_a_flight_that_follows_is_trimmed(mode):
 
 @pytest.mark.parametrize("mode", [HOVER_HERE, SPOTLIGHT])
 @pytest.mark.parametrize("stick", [RIGHT, FORWARD, UP])
-def test_a_vehicle_that_is_to_stay_is_not_trimmed_by_sticks_nor_by_buttons(mode, stick):
+def test_a_holding_vehicle_is_trimmed_neither_by_sticks_nor_by_buttons(mode, stick):
     hands = Hands()
     hands.consoles.wanted = Wanted(mode=mode)
     hands.push(stick, 140)
@@ -176,7 +176,7 @@ def test_a_trim_that_would_change_nothing_is_refused_and_does_not_wait_for_anoth
 
 @pytest.mark.parametrize("stick", [RIGHT, FORWARD, UP])
 @pytest.mark.parametrize("lost", [{"mode": Mode.COAST}, {"mode": Mode.SEARCH}, {"heard": False}, {"healthy": False}])
-def test_a_stick_that_is_held_through_a_loss_and_let_go_trims_nothing_by_itself(stick, lost):
+def test_a_stick_held_through_a_signal_loss_and_released_trims_nothing(stick, lost):
     hands = Hands()
     hands.push(stick, -140)
     hands.mode = lost.get("mode", Mode.FOLLOW)
@@ -191,7 +191,7 @@ def test_a_stick_that_is_held_through_a_loss_and_let_go_trims_nothing_by_itself(
 
 
 @given(st.lists(st.tuples(*(st.integers(-STICK_US, STICK_US) for _ in range(4))), max_size=15))
-def test_whatever_the_hands_do_the_trims_stay_bounded_and_order_nothing(moves):
+def test_for_any_stick_movement_the_trims_stay_bounded_and_order_nothing(moves):
     hands = Hands()
     for move in moves:
         hands.heard.rc_channels = tuple(a + b for a, b in zip(REST, move, strict=True))
@@ -205,7 +205,7 @@ def test_whatever_the_hands_do_the_trims_stay_bounded_and_order_nothing(moves):
 @pytest.mark.parametrize(
     "text", ["", "1,2", "1,2,2", "0,1,2", "1,2,5", "a,b,c", "1,2,3,4", "1;2;3", "--1,2,3", "1,-,3"]
 )
-def test_channels_that_are_none_are_refused(text):
+def test_invalid_channels_are_refused(text):
     with pytest.raises(ValueError, match="--stick-trims names three different channels"):
         RunCommand("udpin:127.0.0.1:14540", stick_trims=text)
 

@@ -21,7 +21,7 @@ def never_overtaking(arrivals_s: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_jitter_of_the_way_is_taken_off_once_a_picture_came_without(seed):
+def test_network_jitter_is_removed_once_an_image_arrived_without_delay(seed):
     rng = np.random.default_rng(seed)
     stamps = PERIOD_S * np.arange(600) + rng.uniform(-1e5, 1e5)
     exposed = 1000.0 + PERIOD_S * np.arange(600)
@@ -46,7 +46,7 @@ def test_a_backlog_keeps_the_times_at_which_it_was_taken():
     assert all(b > a for a, b in itertools.pairwise(t for t in times if t is not None))
 
 
-def test_what_waited_while_a_stream_was_opened_is_not_given():
+def test_frames_queued_while_a_stream_was_opened_are_discarded():
     """A second and a half of frames is there at once, then they come as they are taken."""
     exposed = PERIOD_S * np.arange(200)
     arrivals = np.maximum(exposed, 1.5 + 5e-3 * np.arange(200))
@@ -66,14 +66,14 @@ def test_without_stamps_the_time_is_that_of_arrival():
 
 
 @pytest.mark.parametrize("jump_s", [-100.0, -0.5, 0.5, 1e6])
-def test_stamps_that_jump_are_a_clock_that_began_anew(jump_s):
+def test_stamps_that_jump_are_a_restarted_clock(jump_s):
     arrivals = PERIOD_S * np.arange(600)
     stamps = arrivals + np.where(arrivals > 8.0, jump_s, 0.0)
     times = taken(stamps, arrivals)
     assert times[-300:] == pytest.approx(arrivals[-300:])
 
 
-def test_a_way_that_became_longer_is_the_way_after_a_while():
+def test_a_longer_network_delay_is_adopted_after_a_while():
     stamps = PERIOD_S * np.arange(900)
     arrivals = stamps + np.where(stamps > 8.0, 0.3, 0.0)
     ages = np.array([came - t for t, came in zip(taken(stamps, arrivals), arrivals, strict=True) if t is not None])

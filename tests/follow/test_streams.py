@@ -63,7 +63,7 @@ def test_a_stream_keeps_its_rate_and_its_times_and_comes_back_after_a_break(tmp_
 
 @pytest.mark.realtime
 @pytest.mark.parametrize("kind", ["udp", "rtsp#transport=tcp"])
-def test_frames_that_a_network_held_up_bear_the_time_at_which_they_were_taken(tmp_path, kind):
+def test_frames_delayed_by_a_network_have_the_time_at_which_they_were_taken(tmp_path, kind):
     name, sender = camera_of(kind, tmp_path)
     sender.frames.stall = (90, 0.7)
     sender.open()

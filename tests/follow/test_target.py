@@ -64,7 +64,7 @@ def test_roll_and_pitch_do_not_move_the_estimate():
     assert math.hypot(estimate.north_m_s, estimate.east_m_s) < 0.15
 
 
-def test_a_walkers_velocity_is_learnt():
+def test_a_walkers_velocity_is_estimated():
     target = Target(CAMERA, DOWN)
     estimate = watch(target, lambda t: (10 + 1.0 * t, 1.5 * t), [hovering(i * DT) for i in range(90)])
     assert (estimate.north_m_s, estimate.east_m_s) == pytest.approx((1.0, 1.5), abs=0.15)
@@ -81,7 +81,7 @@ def watched_from(height_m, size, config=TargetConfig(), **changes):  # noqa: B00
 
 
 @pytest.mark.parametrize("size", [0.8, 1.7])
-def test_the_true_size_is_learnt_from_the_ground_of_the_start(size):
+def test_the_true_size_is_estimated_from_the_ground_at_the_start(size):
     target, estimate = watched_from(10.0, size)
     assert target.filter.size_m == pytest.approx(size, rel=0.1)
     assert estimate.range_m == pytest.approx(12.0, rel=0.1)
@@ -89,7 +89,7 @@ def test_the_true_size_is_learnt_from_the_ground_of_the_start(size):
 
 
 @pytest.mark.parametrize("size", [0.5, 3.0])
-def test_a_size_that_the_ground_contradicts_is_said_and_the_nearer_range_counts(size):
+def test_a_size_that_the_ground_contradicts_is_reported_and_the_nearer_range_counts(size):
     _, estimate = watched_from(10.0, size)
     assert "set target.size_m" in estimate.contradiction
     assert estimate.range_near_m < 12.0
@@ -98,7 +98,7 @@ def test_a_size_that_the_ground_contradicts_is_said_and_the_nearer_range_counts(
 
 
 @pytest.mark.parametrize("error_m", [-20.0, -8.0, 8.0, 20.0])
-def test_a_wrong_height_of_the_local_origin_contradicts_the_size_unless_home_tells_it(error_m):
+def test_a_wrong_height_of_the_local_origin_contradicts_the_size_unless_home_gives_it(error_m):
     def wrong(state):
         return state.down_m - error_m
 
@@ -113,7 +113,7 @@ def test_a_wrong_height_of_the_local_origin_contradicts_the_size_unless_home_tel
         assert estimate.ground_below_m == pytest.approx(6.0, abs=1.0)
 
 
-def test_a_rangefinder_corrects_a_size_of_which_nothing_is_known():
+def test_a_rangefinder_corrects_an_unknown_size():
     _, estimate = watched_from(
         6.0, 1.6, TargetConfig(size_m=1.0, size_relative_std=0.5),
         down_m=lambda s: s.down_m - 60.0, above_ground_m=lambda s: -s.down_m, above_ground_t_s=lambda s: s.t_s,
@@ -146,7 +146,7 @@ def test_a_small_step_is_a_reset_only_if_the_autopilot_counts_one():
     assert motion.jump(hovering(0.02, north_m=0.16, north_m_s=8.0), 1.5) is None
 
 
-def test_delay_compensation_removes_the_lag_of_old_pictures():
+def test_delay_compensation_removes_the_lag_of_old_images():
     def path(t):
         return 12.0, 2.0 * t
 
@@ -160,7 +160,7 @@ def test_delay_compensation_removes_the_lag_of_old_pictures():
     assert errors[True] < 0.02 < errors[False] / 2
 
 
-def test_a_track_that_was_not_found_is_not_believed():
+def test_a_track_that_was_not_found_is_ignored():
     target = Target(CAMERA, DOWN)
     state = hovering(0.0)
     before = target.update(seen(box_of((12.0, 0.0), state)), state, 0.0)
@@ -198,7 +198,7 @@ def test_uncertainty_grows_while_the_target_is_unseen():
     assert later.range_near_m < near.range_near_m / 1.3
 
 
-def test_a_pose_between_two_messages_is_interpolated_and_yaw_takes_the_short_way():
+def test_a_pose_between_two_messages_is_interpolated_and_yaw_along_the_shorter_arc():
     motion = PoseHistory()
     motion.add(hovering(0.0, yaw_rad=3.1, north_m=1.0))
     motion.add(hovering(1.0, yaw_rad=-3.1, north_m=2.0))
@@ -207,7 +207,7 @@ def test_a_pose_between_two_messages_is_interpolated_and_yaw_takes_the_short_way
     assert pose.north_m == pytest.approx(1.5)
 
 
-def test_beyond_the_newest_message_the_pose_moves_on_for_a_moment_only():
+def test_beyond_the_newest_message_the_pose_is_extrapolated_for_a_moment_only():
     motion = PoseHistory()
     motion.add(hovering(0.0, north_m_s=2.0, yaw_rate_rad_s=1.0))
     assert motion.at(0.1).north_m == pytest.approx(0.2)
@@ -237,7 +237,7 @@ def test_after_a_long_loss_more_frames_are_needed():
 
 @pytest.mark.parametrize("lost_s", [2.0, 6.0, 12.0, 18.0])
 @pytest.mark.parametrize("place", [(10.0, 15.0), (-2.0, -13.0), (25.0, 18.0)])
-def test_somebody_else_of_the_same_size_far_from_the_lost_targets_path_is_not_taken(lost_s, place):
+def test_somebody_else_of_the_same_size_far_from_the_lost_targets_path_is_not_accepted(lost_s, place):
     target = Target(CAMERA, DOWN)
     watch(target, lambda t: (12.0 + 3.0 * t, 0.0), [hovering(i * DT, north_m=3.0 * i * DT) for i in range(60)])
     last = 59 * DT
@@ -250,7 +250,7 @@ def test_somebody_else_of_the_same_size_far_from_the_lost_targets_path_is_not_ta
     assert estimate.seen_t_s == last
 
 
-def test_the_target_itself_is_taken_again_where_it_went_or_where_it_stayed():
+def test_the_target_itself_is_accepted_again_where_it_went_or_where_it_stayed():
     for path in (lambda t: (12.0 + 3.0 * t, 0.0), lambda t: (12.0 + 3.0 * min(t, 2.0), 0.0)):
         target = Target(CAMERA, DOWN)
         states = [hovering(i * DT, north_m=path(i * DT)[0] - 12.0) for i in range(300)]
@@ -262,7 +262,7 @@ def test_the_target_itself_is_taken_again_where_it_went_or_where_it_stayed():
 
 
 @pytest.mark.parametrize("change", ["elsewhere", "much larger", "much smaller"])
-def test_a_box_where_the_target_cannot_be_is_not_believed(change):
+def test_a_box_where_the_target_cannot_be_is_rejected(change):
     target = Target(CAMERA, DOWN)
     states = [hovering(i * DT) for i in range(61)]
     watch(target, lambda t: (12.0, 0.0), states[:60])
@@ -271,7 +271,7 @@ def test_a_box_where_the_target_cannot_be_is_not_believed(change):
     assert target.update(seen(wrong[change]), states[60], 60 * DT).seen_t_s == 59 * DT
 
 
-def test_an_unseen_target_walks_on_slower_and_slower_and_not_for_ever():
+def test_the_predicted_velocity_of_an_unseen_target_decays():
     target = Target(CAMERA, DOWN)
     watch(target, lambda t: (12.0 + 1.5 * t, 0.0), [hovering(i * DT) for i in range(90)])
     at = [target.update(None, hovering(3.0 + s), 89 * DT).range_m for s in (0.0, 2.0, 60.0, 120.0)]
@@ -280,7 +280,7 @@ def test_an_unseen_target_walks_on_slower_and_slower_and_not_for_ever():
     assert at[3] == pytest.approx(at[2], abs=0.1)
 
 
-def test_after_a_loss_a_blurred_box_is_not_believed():
+def test_after_a_loss_a_blurred_box_is_rejected():
     target = Target(CAMERA, DOWN)
     watch(target, lambda t: (12.0, 0.0), [hovering(i * DT) for i in range(60)])
     for i in range(100, 130):
@@ -300,7 +300,7 @@ def test_a_first_response_sharper_than_all_that_follow_does_not_make_the_rest_lo
     assert target.update(blurred, state, 42 * DT).seen_t_s == 41 * DT
 
 
-def test_uncertainty_after_a_wait_does_not_depend_on_how_often_one_looked():
+def test_uncertainty_after_a_wait_does_not_depend_on_the_number_of_predictions():
     once, often = Target(CAMERA, DOWN), Target(CAMERA, DOWN)
     for target in (once, often):
         watch(target, lambda t: (12.0, 0.0), [hovering(i * DT) for i in range(30)])
@@ -313,7 +313,7 @@ def test_uncertainty_after_a_wait_does_not_depend_on_how_often_one_looked():
     np.testing.assert_allclose(f.covariance[2, 2], one.covariance[2, 2], rtol=0.2)
 
 
-def test_a_sharp_response_is_believed_although_it_was_far_sharper_before():
+def test_a_sharp_response_is_accepted_although_it_was_far_sharper_before():
     target = Target(CAMERA, DOWN)
     for i in range(60):
         state = hovering(i * DT)
@@ -332,7 +332,7 @@ def test_footage_may_show_a_target_of_any_size(size, place):
     assert estimate.range_m == pytest.approx(place[0], rel=0.1)
 
 
-def test_a_lost_target_is_looked_for_around_its_way_and_a_candidate_is_not_left_before_it_is_judged():
+def test_a_lost_target_is_searched_along_its_path_and_each_candidate_until_it_is_judged():
     """The attitude of a frame comes one frame late, so that a box is judged after the next look was chosen."""
     target = Target(CAMERA, DOWN)
     watch(target, lambda t: (12.0, 0.0), [hovering(i * DT) for i in range(60)])
@@ -371,7 +371,7 @@ def test_a_box_that_the_border_cuts_hardly_moves_the_range():
     assert abs(ranged(CAMERA.height + 12) - 12.0) < 0.6 * abs(ranged(CAMERA.height - 30) - 12.0)
 
 
-def test_where_the_tracker_started_again_nothing_of_the_first_box_is_kept():
+def test_a_restart_of_the_tracker_discards_everything_from_the_first_box():
     place, target = (11.0, 4.0), Target(CAMERA, DOWN)
     states = [hovering(i * DT) for i in range(40)]
     for state in states[:20]:

@@ -10,7 +10,7 @@ METRES = 111_319.5 * 1e-7  # of a 1e-7th of a degree of latitude
 
 
 @pytest.mark.parametrize("way", [1, -1])
-def test_home_across_the_date_line_is_as_near_as_it_is(way):
+def test_the_distance_to_home_is_right_across_the_date_line(way):
     vehicle, decoder = Packets(1, 1), TelemetryDecoder()
     east_end = 1_799_999_900 * way
     for message in (

@@ -35,7 +35,7 @@ def follow(capfd, *words: object) -> str:
 
 
 @pytest.mark.parametrize(("w", "h", "said"), [(9.94, 30, "9.94x30"), (1200, 9, "1200x9"), (10, 10, "")])
-def test_the_sentence_has_thing_value_rule_and_cure_and_only_below_the_bound(w, h, said):
+def test_the_warning_names_thing_value_rule_and_remedy_and_only_below_the_bound(w, h, said):
     line = tiny_line(Box(5, 5, w, h))
     assert bool(line) == bool(said)
     if said:
@@ -43,13 +43,13 @@ def test_the_sentence_has_thing_value_rule_and_cure_and_only_below_the_bound(w, 
         assert "go closer" in line
 
 
-def test_a_replay_says_it_once(capfd, footage, tmp_path):
+def test_a_replay_warns_once(capfd, footage, tmp_path):
     words = ("replay", footage, "--out", tmp_path, "--record.no-pictures", "--target")
     assert follow(capfd, *words, "318,219,8,22").count(f"0.0 s: {SAID}8x22 pixels") == 1
     assert SAID not in follow(capfd, *words, "309,192,22,48")
 
 
-def test_a_simulation_says_it_once(capfd, tmp_path, monkeypatch):
+def test_a_simulation_warns_once(capfd, tmp_path, monkeypatch):
     monkeypatch.setitem(SCENARIOS, "brief", replace(SCENARIOS["walker"], name="brief", duration_s=0.7))
     words = ("sim", "brief", "--out", tmp_path, "--record.no-pictures", "--camera.fov-deg")
     assert follow(capfd, *words, 140).count(SAID) == 1
@@ -57,7 +57,7 @@ def test_a_simulation_says_it_once(capfd, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("tiny_from", [0, 40, None])
-def test_a_live_flight_says_it_once_at_its_start_or_when_it_becomes_so(tiny_from):
+def test_a_live_flight_warns_once_at_its_start_or_when_the_target_becomes_tiny(tiny_from):
     rig = Rig(Autopilot.PX4, lambda _rig: None, fault_t_s=99.0, end_t_s=4.0)
     seen = 0
 
@@ -76,7 +76,7 @@ def test_a_live_flight_says_it_once_at_its_start_or_when_it_becomes_so(tiny_from
         assert told[0].startswith("0.0 s:") == (tiny_from == 0)
 
 
-def test_a_lost_targets_box_says_nothing():
+def test_a_lost_targets_box_causes_no_warning():
     rig = Rig(Autopilot.PX4, lambda _rig: None, fault_t_s=99.0, end_t_s=2.0)
     box = Box(310, 150, 5, 5)
     rig.update = lambda _image, _prior=None: Track(box, box.scaled(3), 2.0, 5.0, 0.0, found=False)
@@ -86,7 +86,7 @@ def test_a_lost_targets_box_says_nothing():
 
 
 @pytest.mark.parametrize(("start", "told"), [("318,219,8,22", f"frame 0: {SAID}8x22 pixels"), ("309,192,22,48", "")])
-def test_racf_track_says_it_once(capfd, footage, tmp_path, monkeypatch, start, told):
+def test_racf_track_warns_once(capfd, footage, tmp_path, monkeypatch, start, told):
     words = ["racf", "track", footage, "--init", start, "--out", tmp_path / "boxes.txt", "--tracker", "racf-"]
     monkeypatch.setattr(sys, "argv", [str(word) for word in words])
     with pytest.raises(SystemExit) as stop:
@@ -97,7 +97,7 @@ def test_racf_track_says_it_once(capfd, footage, tmp_path, monkeypatch, start, t
     assert err.startswith(told)
 
 
-def test_racf_track_names_the_frame_in_which_it_becomes_so(capfd, footage, tmp_path, monkeypatch):
+def test_racf_track_names_the_frame_in_which_the_target_becomes_tiny(capfd, footage, tmp_path, monkeypatch):
     class Shrinking:
         def init(self, _image, box):
             self.box = box

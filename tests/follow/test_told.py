@@ -55,14 +55,14 @@ def test_the_pilot_reads_what_happens_in_two_seconds(mode, reason, text):
 
 
 @pytest.mark.parametrize("cause", Cause)
-def test_every_cause_has_words_that_begin_with_what_matters(cause):
+def test_the_text_of_every_cause_begins_with_the_essential(cause):
     for mode in Mode:
         text = sentence(of(mode, Reason(cause, "x", 1.0)))
         assert text
         assert "{" not in text
 
 
-def test_what_a_person_does_at_any_console_reaches_the_pilot():
+def test_acts_at_any_console_are_reported_to_the_pilot():
     ears, desk = Ears(), Desk()
     texts = PilotTexts(ears)
     desk.consoles.tell = texts.say
@@ -120,7 +120,7 @@ class Autopilot:
                     self.texts.hear(heard, t_s)
 
 
-def test_the_autopilots_words_are_told_once():
+def test_the_autopilots_texts_are_reported_once():
     px4 = Autopilot()
     for k in range(100):
         px4.say("Failsafe activated", 0.1 * k)
@@ -130,20 +130,20 @@ def test_the_autopilots_words_are_told_once():
 
 
 @pytest.mark.parametrize("length", [51, 99, 100, 101, 180, 249])
-def test_a_long_text_is_told_whole(length):
+def test_a_long_text_is_reported_whole(length):
     text = ("Preflight Fail: heading estimate not stable " * 6)[:length].strip().ljust(length, "x")
     ardupilot = Autopilot()
     ardupilot.say(text, 1.0, number=7)
     assert ardupilot.lines == [f"the autopilot says: {text}"]
 
 
-def test_a_text_whose_chunk_got_lost_is_told_as_far_as_it_came():
+def test_a_text_with_a_lost_chunk_is_reported_up_to_the_gap():
     px4 = Autopilot()
     px4.say("a" * 50 + "b" * 20, 1.0, number=3, lose=(0,))
     assert px4.lines == ["the autopilot says: " + "b" * 20]
 
 
-def test_what_others_say_is_not_the_autopilots():
+def test_texts_of_other_senders_are_not_the_autopilots():
     camera = Autopilot(component=100)
     camera.say("nothing stands out there: draw a box", 1.0)
     assert camera.lines == []

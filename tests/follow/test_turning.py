@@ -56,7 +56,7 @@ def velocity_of(places):
 
 
 @pytest.mark.parametrize(("speed", "rate", "side", "seed"), cases)
-def test_the_velocity_of_a_target_that_turns_is_as_uncertain_as_it_says(speed, rate, side, seed):
+def test_the_velocity_covariance_of_a_turning_target_is_consistent(speed, rate, side, seed):
     """No box of the turn is surprising by itself: only several together show it."""
     places = course(speed, rate, side)
     _, estimate = shown(places, seed)
@@ -66,7 +66,7 @@ def test_the_velocity_of_a_target_that_turns_is_as_uncertain_as_it_says(speed, r
     assert error @ np.linalg.solve([[nn, ne], [ne, ee]], error) <= 11.8  # 3 standard deviations in two dimensions
 
 
-def test_white_errors_alone_seldom_look_like_a_turn():
+def test_white_noise_alone_is_seldom_taken_for_a_turn():
     """The faded sum of whitened innovations has variance 1 / (1 - k^2) in each part."""
     random = np.random.default_rng(1)
     trend, together2 = np.zeros(3), []
@@ -90,7 +90,7 @@ def looked_near(target, places, unseen_s):
 
 
 @pytest.mark.parametrize("unseen_s", [1.0, 2.0, 3.0])
-def test_a_target_lost_in_a_turn_is_looked_for_where_the_turn_leads(unseen_s):
+def test_a_target_lost_in_a_turn_is_searched_along_the_turn(unseen_s):
     """The search goes to two standard deviations: of 36 courses at most two may lead beyond."""
     found, found_straight = [], []
     for speed, rate, side, seed in cases:
@@ -103,7 +103,7 @@ def test_a_target_lost_in_a_turn_is_looked_for_where_the_turn_leads(unseen_s):
     assert found_straight.count(False) > 4 * found.count(False)
 
 
-def test_on_the_whole_the_bend_is_nearer_than_the_straight_way():
+def test_on_average_the_curved_prediction_is_nearer_than_the_straight_one():
     bent, straight = [], []
     for speed, rate, side, seed in cases:
         places = course(speed, rate, side, on_s=2.0)
@@ -119,7 +119,7 @@ def test_on_the_whole_the_bend_is_nearer_than_the_straight_way():
 
 @pytest.mark.parametrize("seed", range(8))
 @pytest.mark.parametrize("speed", [0.0, 0.3, 1.4, 3.0])
-def test_who_goes_straight_is_expected_to_go_on_straight(speed, seed):
+def test_a_straight_target_is_predicted_straight(speed, seed):
     places = course(speed, 0.0, 1)
     target, _ = shown(places, seed)
     assert target.filter is not None
@@ -130,7 +130,7 @@ def test_who_goes_straight_is_expected_to_go_on_straight(speed, seed):
     assert float(np.linalg.norm(f.mean[:2] - straight)) <= 0.5 * std
 
 
-def test_only_places_in_the_image_are_looked_at_while_there_are_some():
+def test_only_places_in_the_image_are_searched_while_there_are_any():
     target, _ = shown(course(2.5, 0.9, 1), 0)
     f = lost_after(target, 2.0)
     right = [looked_for(f, target.seen_ned, look) for look in range(2 * LOOKS)]

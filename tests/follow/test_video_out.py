@@ -88,7 +88,7 @@ def test_parameters_and_a_key_frame_come_as_often_as_they_should(key_s, frames):
     assert keys == list(range(0, 61, frames))
 
 
-def test_a_board_encoder_that_keeps_its_parameters_to_itself_has_them_repeated(monkeypatch):
+def test_the_parameters_of_a_board_encoder_that_does_not_repeat_them_are_repeated(monkeypatch):
     plain = video_stream.add_h264
 
     def with_header(container, coding, size):
@@ -169,7 +169,7 @@ def test_the_bit_rate_is_kept():
     assert 8 * sent / 3.0 < 1.15e6
 
 
-def test_a_loop_is_never_held_up_by_an_encoder_or_a_network_that_stands_still(monkeypatch):
+def test_a_stalled_encoder_or_network_never_blocks_the_loop(monkeypatch):
     stands, shown = threading.Event(), []
 
     def show(self, image, t_s):
@@ -202,7 +202,7 @@ def listening():
         yield ear, ear.getsockname()[1]
 
 
-def test_nothing_is_encoded_before_a_ground_station_is_heard():
+def test_nothing_is_encoded_before_a_ground_station_is_received():
     with listening() as (ear, port):
         video = VideoOut(VideoAddress(port=port), VideoConfig(encoder=Encoder.LIBX264), print)
         video.see(numbered_tick(0))
@@ -225,7 +225,7 @@ def test_the_delay_is_from_the_taking_of_a_frame_to_its_sending():
     video.close()
 
 
-def test_the_rate_is_at_most_the_wanted_one():
+def test_the_rate_is_at_most_the_requested_one():
     video = VideoOut(VideoAddress("127.0.0.1", 9), VideoConfig(rate_hz=10.0), print)
     taken = []
     video._worker.put = lambda act, heavy=None: taken.append(heavy.keywords["t_s"]) if heavy is not None else None
@@ -269,7 +269,7 @@ def test_a_server_gets_the_stream_by_rtsp_and_again_after_it_broke(monkeypatch):
     assert [number_in(image) for image in seen][:10] == list(range(10))
 
 
-def test_a_server_that_is_not_there_is_said_once(monkeypatch):
+def test_a_missing_server_is_reported_once(monkeypatch):
     monkeypatch.setattr(video_stream, "RETRY_S", 0.0)
     said = []
     with contextlib.closing(VideoStream(CODING, "rtsp://127.0.0.1:9/follow", said.append)) as stream:
@@ -359,7 +359,7 @@ def command(**options):
      ({"ground": "link", "video_out": "rtp://10.0.0.2"}, VideoAddress("10.0.0.2")),
      ({"video_out": "rtsp://10.0.0.2:8554/a"}, VideoAddress(url="rtsp://10.0.0.2:8554/a"))],
 )  # fmt: skip
-def test_by_default_the_video_goes_to_who_talks_to_us_directly(options, address):
+def test_by_default_the_video_goes_to_the_directly_connected_ground_station(options, address):
     assert video_address(command(**options)) == address
 
 
@@ -391,7 +391,7 @@ class Stations:
         return self.waiting.pop(0) if self.waiting else (b"", None)
 
 
-def test_who_is_heard_directly_gets_the_video_until_silent_for_ten_seconds():
+def test_a_direct_ground_station_gets_the_video_until_silent_for_ten_seconds():
     beat = GroundStation().heartbeat()
     side = DirectSide(Stations((beat, ("10.0.0.2", 14550)), (b"noise", ("10.0.0.9", 14550))))
     side.receive(100.0)

@@ -44,7 +44,7 @@ def test_a_copy_comes_before_the_second_packet_of_the_next_frame():
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_of_ten_percent_that_get_lost_a_tenth_stays_lost(seed):
+def test_with_each_packet_twice_ten_percent_loss_leaves_about_one_percent(seed):
     dice = random.Random(seed)
     arrived = {packet for packet in sent(FRAMES) if dice.random() >= 0.1}
     packets = list(itertools.chain.from_iterable(FRAMES))

@@ -24,7 +24,7 @@ from tests.follow.test_record_flight import silent, tick
         ((), []),
     ],
 )
-def test_a_view_without_a_word_is_here(words, full):
+def test_a_view_without_an_address_is_local(words, full):
     assert with_view(words) == full
 
 
@@ -38,7 +38,7 @@ def test_a_view_that_is_not_one_is_refused_before_anything_starts(capfd, tmp_pat
     assert not (tmp_path / "out").exists()
 
 
-def test_a_view_here_needs_a_display(monkeypatch):
+def test_a_local_view_needs_a_display(monkeypatch):
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr("sys.platform", "linux")

@@ -44,7 +44,7 @@ SETTINGS = Believed(down_deg=30.0, fov_deg=70.0, delay_s=0.1)
 
 
 @pytest.mark.parametrize("case", HARD, ids=lambda case: case.name)
-def test_waving_tells_mount_lens_and_delay_whatever_is_believed(case):
+def test_waving_measures_mount_lens_and_delay_whatever_the_settings(case):
     """Believed are 80 degrees and no delay; the search knows nothing of the mount."""
     found = measured(case, SECONDS)
     assert found.down_deg.value == pytest.approx(case.down_deg, abs=1.0)
@@ -56,12 +56,12 @@ def test_waving_tells_mount_lens_and_delay_whatever_is_believed(case):
     assert found.delay_s.std < 0.015
 
 
-def test_a_vehicle_that_is_hardly_moved_tells_nothing_and_says_so():
+def test_a_vehicle_that_hardly_moves_gives_no_result_and_a_reason():
     with pytest.raises(WaveError, match=r"too little motion to tell anything: \d.\d degrees/s"):
         measured(next(case for case in CASES if case.name == "hardly moved"), SECONDS)
 
 
-def test_a_frozen_image_of_a_moving_vehicle_is_no_mount():
+def test_a_frozen_image_of_a_moving_vehicle_gives_no_mount():
     camera, link = waved_frames(Case("frozen"), SECONDS)
     frames = stamped(camera, link, upside_down=False)
     first = next(frame for frame in frames if frame is not None)
@@ -123,7 +123,7 @@ def test_what_agrees_with_the_settings_is_ok():
         ({"yaw_deg": Measured(12.0, 0.4)}, "mount-yaw", "along the nose"),
     ],
 )
-def test_what_differs_from_the_settings_is_red_with_the_line_that_sets_it_right(change, name, line):
+def test_a_difference_from_the_settings_is_red_with_the_line_that_corrects_it(change, name, line):
     red = [finding for finding in judge(replace(SOUND, **change), SETTINGS) if finding.verdict is Health.RED]
     assert [finding.name for finding in red] == [name]
     assert re.search(line, red[0].fix)
@@ -139,7 +139,7 @@ def test_what_differs_from_the_settings_is_red_with_the_line_that_sets_it_right(
         ({"delay_s": Measured(0.3, 0.05)}, "delay"),
     ],
 )
-def test_what_is_known_too_crudely_is_not_judged(change, name):
+def test_a_measurement_that_is_too_uncertain_is_not_judged(change, name):
     unclear = [f for f in judge(replace(SOUND, **change), SETTINGS) if f.verdict is not Health.OK]
     assert [(f.name, f.verdict) for f in unclear] == [(name, Health.WARN)]
     assert "too little motion to tell" in unclear[0].text

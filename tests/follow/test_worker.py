@@ -19,7 +19,7 @@ class Full:
         """Nothing is left to write."""
 
 
-def test_the_report_of_a_full_disk_may_be_put_into_the_worker_that_ended():
+def test_a_worker_that_ended_accepts_the_report_of_a_full_disk():
     """A replay waits for room in the lanes, and its messages are recorded as well: no worker may wait for itself."""
     began, full, said = threading.Event(), threading.Event(), []
 
@@ -48,7 +48,7 @@ class Slow:
         assert self.told.wait(10.0)
 
 
-def test_a_long_wait_at_the_end_is_told_before_it_is_over(monkeypatch):
+def test_a_long_wait_at_the_end_is_reported_while_it_lasts(monkeypatch):
     """A pilot who left must know that it waits for the disk, not for the vehicle; and the line waits for no lane."""
     monkeypatch.setattr(workers, "QUIET_S", 0.05)
     told, said = threading.Event(), []

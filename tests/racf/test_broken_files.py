@@ -103,12 +103,12 @@ def track(**changed: object) -> Track:
         ((1e300, 0, 1, 1), r"a box lies within 1e\+06 pixels, not 1e\+300,0,1,1"),
     ],
 )
-def test_an_answer_that_no_file_may_hold_is_named(data, answer, told):
+def test_a_box_beyond_the_limits_of_a_file_is_named(data, answer, told):
     with pytest.raises(TrackerError, match=f"tracker odd: .*in frame 1 after the start.*{told}"):
         evaluate(data, trackers={"odd": lambda: Answers(answer)}, jobs=1, progress=False)
 
 
-def test_an_answer_whose_sharpness_is_unknown_is_taken(data, tmp_path):
+def test_a_track_of_unknown_sharpness_is_accepted(data, tmp_path):
     answer = track(psr=float("nan"), apce=float("nan"), stage_ms={"network": 3})
     for _ in range(2):
         figures = evaluate(

@@ -107,7 +107,7 @@ def stored_boxes(folder, names: dict[str, tuple[str, ...]]) -> None:
             write_boxes(folder / tracker / f"{sequence}.txt", rendered.path_of_target(8, begin))
 
 
-def test_what_an_import_leaves_out_is_said(data, tmp_path, capsys):
+def test_what_an_import_leaves_out_is_reported(data, tmp_path, capsys):
     stored_boxes(tmp_path / "stored", {"Whole": ("one", "two"), "Part": ("one",), "anno": ("one", "two")})
     assert racf("eval", data, "--import", tmp_path / "stored", "--json") == 0
     out, err = capsys.readouterr()
@@ -178,7 +178,7 @@ def test_bench_prints_only_its_json_with_the_promised_keys(data, capsys):
     assert all(peer["fps"] > 0 for peer in figures["peers"].values())
 
 
-def test_help_of_bench_says_what_no_first_call_does(capsys):
+def test_help_of_bench_explains_no_first_call(capsys):
     assert racf("bench", "--help") == 0
     words = " ".join(re.sub(r"[^\w\s.-]", " ", capsys.readouterr().out).split())
     assert "--no-first-call Leave out the times" in words
@@ -222,7 +222,7 @@ def test_track_overwrites_nothing_but_its_own_boxes(what, clip, capsys, monkeypa
     assert named in err
 
 
-def test_track_writes_its_boxes_again_and_says_where(clip, capsys, monkeypatch):
+def test_track_overwrites_its_own_boxes_and_prints_the_path(clip, capsys, monkeypatch):
     monkeypatch.chdir(clip)
     words = ("track", "clip.mp4", "--init", "309,192,22,48", "--out", "sub/boxes.txt", "--tracker", "racf-")
     assert racf(*words) == racf(*words) == 0
@@ -238,6 +238,6 @@ def test_track_writes_its_boxes_again_and_says_where(clip, capsys, monkeypatch):
         ("622,192,24,48", 0, "25 % of target 622,192,24,48 lies outside the 640x360 image"),
     ],
 )
-def test_a_first_box_that_reaches_out_of_the_image_is_told(box, status, says, clip, capsys):
+def test_a_first_box_that_reaches_out_of_the_image_is_reported(box, status, says, clip, capsys):
     assert racf("track", clip / "clip.mp4", "--init", box, "--out", clip / "b.txt", "--tracker", "racf-") == status
     assert says in capsys.readouterr().err

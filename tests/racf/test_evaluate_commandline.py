@@ -116,7 +116,7 @@ def test_a_terminal_stopped_by_ctrl_s_does_not_keep_the_program_from_ending(monk
     os.close(outside)
 
 
-def test_nor_does_a_full_pipe_that_nobody_reads(monkeypatch):
+def test_a_full_pipe_that_nobody_reads_does_not_keep_the_program_from_ending(monkeypatch):
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
     with contextlib.suppress(BlockingIOError):

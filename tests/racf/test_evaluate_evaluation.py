@@ -73,7 +73,7 @@ def test_the_library_does_what_the_command_does(data, tmp_path, capsys):
     assert "| racf- |" in wanted.summary[0].markdown()
 
 
-def test_it_is_reached_from_the_package_and_explains_itself():
+def test_evaluate_is_exported_by_the_package_and_has_a_docstring():
     lines = "import racf, sys; help(racf.evaluate.evaluate); print('cv2' in sys.modules)"
     out = subprocess.run([sys.executable, "-c", lines], capture_output=True, text=True, check=True).stdout
     for word in ("trackers:", "imports:", "jitter:", "csrt", "module:Class", "MyTracker", "Raises ValueError"):
@@ -143,7 +143,7 @@ def test_what_is_no_tracker_is_refused_before_anything_runs(tracker, sentence, d
         evaluate(data, trackers=tracker, progress=False)
 
 
-def test_an_answer_that_is_no_box_is_named(data):
+def test_a_result_that_is_no_box_is_named(data):
     class Wrong(Still):
         def update(self, image):
             return "there"
@@ -230,7 +230,7 @@ class Blinking(Still):
         return racf.Track(box, box, psr=1.0, apce=1.0, confidence=1.0, found=True) if self.count % 2 else None
 
 
-def test_a_frame_without_an_answer_keeps_the_last_box_that_was_given(data):
+def test_a_frame_without_a_result_keeps_the_last_box(data):
     boxes = evaluate(data, trackers=Blinking, only=["one"], jobs=1, progress=False).boxes["Blinking"]["one"]
     assert boxes[1:5, 0].tolist() == [11, 11, 31, 31]
 

@@ -58,7 +58,7 @@ def referee(boxes, annotation, strict):
 
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("convention", list(Convention))
-def test_scores_are_those_of_the_rules_read_aloud(seed, convention):
+def test_scores_equal_a_literal_implementation_of_the_rules(seed, convention):
     boxes, annotation = wild(seed)
     judged = score(boxes, annotation, convention)
     precision, auc = referee(boxes, annotation, strict=convention is Convention.STRICT)
@@ -88,7 +88,7 @@ def test_the_order_of_the_frames_after_the_first_does_not_matter_while_all_boxes
     assert score(boxes[order], truth()[order]).auc == pytest.approx(score(boxes, truth()).auc)
 
 
-def test_absent_targets_are_hits_and_misses_to_the_toolkits_and_nothing_to_the_strict():
+def test_absent_targets_are_hits_and_misses_for_the_toolkits_and_not_counted_by_the_strict_rules():
     annotation = truth()
     annotation[10:20] = np.nan
     boxes = truth() + 100.0

@@ -90,7 +90,7 @@ def test_an_image_that_opencv_would_crash_on_is_a_value_error():
         tracker.update(first[:-8])
 
 
-def test_what_opencv_lacks_is_said_when_it_is_built():
+def test_a_tracker_that_opencv_lacks_is_named_when_it_is_built():
     lacking = [name for name in ("csrt", "kcf") if not opencv_has(name)]
     if not lacking:
         pytest.skip("this OpenCV has every tracker")
@@ -98,7 +98,7 @@ def test_what_opencv_lacks_is_said_when_it_is_built():
         TrackerSpec.parse(lacking[0]).build()
 
 
-def test_what_opencv_lacks_is_said_before_anything_runs(monkeypatch):
+def test_a_tracker_that_opencv_lacks_is_named_before_anything_runs(monkeypatch):
     monkeypatch.delattr(cv2, "TrackerMIL_create")
     with pytest.raises(ValueError, match="has no mil tracker"):
         builders_of(["racf", "mil"])
@@ -114,6 +114,6 @@ def test_a_fingerprint_tells_apart_whatever_could_change_the_boxes():
 
 
 @pytest.mark.parametrize("text", ["racf,speed=3", "racf,residue=high", "mil,residue=1", "siamese"])
-def test_a_tracker_or_setting_nobody_knows_is_named(text):
+def test_an_unknown_tracker_or_setting_is_named(text):
     with pytest.raises(ValueError, match=text.partition(",")[2].partition("=")[0] or text):
         TrackerSpec.parse(text).check()

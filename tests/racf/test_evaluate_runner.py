@@ -110,7 +110,7 @@ def test_an_interrupted_evaluation_goes_on_where_it_stopped(sequences, tmp_path)
     assert len(trail.read_text()) == 5 * 5  # five tasks left, five updates each: nothing was run twice
 
 
-def test_stored_boxes_are_not_taken_for_those_of_other_starts_trackers_or_frames(sequences, tmp_path):
+def test_stored_boxes_of_other_starts_trackers_or_frames_are_not_reused(sequences, tmp_path):
     run_all(all_tasks(sequences[:1], jitter=0), folder=tmp_path)
     for others in (
         all_tasks(sequences[:1], Spec("other"), jitter=0),

@@ -104,7 +104,7 @@ def test_table_5_gives_what_each_component_adds(sequences):
         assert precision == pytest.approx([sign * gain] * 3, abs=0.06)
 
 
-def test_speeds_that_lie_beside_stored_boxes_are_shown(sequences):
+def test_speeds_stored_beside_boxes_are_shown(sequences):
     stored = Stored({s.name: s.truth for s in sequences}, {s.name: 26.0 for s in sequences})
     report = build_report(sequences, {}, {"theirs": stored})
     assert studies.lay_out(2, report, GRID).rows[0][2] == "26.0"

@@ -57,7 +57,7 @@ class Elsewhere:
 
 
 @pytest.mark.parametrize("answer", [Box(300, 150, 36, 36), Box(1e300, 0, 1, 1), Box(-1e18, -1e18, 1e18, 1e18)])
-def test_a_tracker_that_is_elsewhere_from_its_first_answer_is_not_believed(answer):
+def test_a_tracker_that_is_elsewhere_from_its_first_box_is_not_trusted(answer):
     judged = JudgedBoxes(Elsewhere(answer))
     judged.init(image(100, 100), box(100, 100))
     for _ in range(20):

@@ -45,7 +45,7 @@ def told(first: np.ndarray, box: Box, second: np.ndarray, dx: float = 0.0, dy: f
 @pytest.mark.parametrize("side", [40, 90, 200])
 @pytest.mark.parametrize("factor", [0.95, 0.99, 1.0, 1.02, 1.06])
 @pytest.mark.parametrize("colour", [True, False])
-def test_a_target_that_grows_and_moves_is_told_within_a_percent(side, factor, colour):
+def test_the_growth_of_a_moving_target_is_measured_within_a_percent(side, factor, colour):
     first, second = image(160, 140, side), image(165, 137, side * factor)
     if not colour:
         first, second = (cv2.cvtColor(of, cv2.COLOR_BGR2GRAY) for of in (first, second))
@@ -53,7 +53,7 @@ def test_a_target_that_grows_and_moves_is_told_within_a_percent(side, factor, co
 
 
 @pytest.mark.parametrize("factor", [0.95, 1.02, 1.06])
-def test_a_small_target_is_told_as_well_or_not_at_all(factor):
+def test_the_growth_of_a_small_target_is_measured_as_well_or_not_at_all(factor):
     """A ring around 24 pixels is seen through windows that reach into the target."""
     factors = [
         told(
@@ -64,7 +64,7 @@ def test_a_small_target_is_told_as_well_or_not_at_all(factor):
     assert all(of == 1.0 or of == pytest.approx(factor, rel=0.02) for of in factors)
 
 
-def test_a_box_full_of_ground_is_not_told_to_grow():
+def test_a_box_full_of_ground_does_not_grow():
     """A camera that comes nearer makes everything grow, but the box is not the target's any more."""
     nearer = cv2.warpAffine(GROUND, cv2.getRotationMatrix2D((160, 140), 0.0, 1.04), (COLS, ROWS))
     assert told(GROUND, Box.around(160, 140, 60, 60), nearer) == 1.0
@@ -76,17 +76,17 @@ def test_a_target_that_turns_keeps_its_size():
     )
 
 
-def test_a_box_that_is_a_little_off_and_long_is_told_also():
+def test_the_growth_in_a_long_box_slightly_off_the_target_is_measured():
     box = Box.around(164, 136, 40, 66)
     assert told(image(160, 140, 60), box, image(161, 140, 62.4)) == pytest.approx(1.04, abs=0.012)
 
 
-def test_points_that_go_their_own_ways_tell_nothing():
+def test_points_with_different_motions_give_no_growth():
     first, second = image(160, 140, 60), image(160, 140, 60, seed=9)  # another target in the same place
     assert told(first, Box.around(160, 140, 60, 60), second) == 1.0
 
 
-def test_nothing_is_told_of_a_small_target_or_of_one_that_was_not_seen():
+def test_no_growth_is_measured_of_a_tiny_or_unseen_target():
     side = LEAST_SIDE_PX - 1
     assert told(image(160, 140, side), Box.around(160, 140, side, side), image(160, 140, side * 1.05)) == 1.0
     flow = Flow()
@@ -100,7 +100,7 @@ def test_nothing_is_told_of_a_small_target_or_of_one_that_was_not_seen():
     assert growth(flow) == 1.0
 
 
-def test_no_more_than_a_tenth_a_frame_is_believed():
+def test_growth_is_limited_to_a_tenth_a_frame():
     many = [told(image(160, 140, 60), Box.around(160, 140, 60, 60), image(160, 140, 60 * f)) for f in (0.8, 0.85, 1.2)]
     assert all(0.904 <= factor <= 1.106 for factor in many)
     assert max(many) > 1.1
@@ -118,7 +118,7 @@ SQUARE = np.array([[10, 10], [40, 10], [10, 40], [40, 40], [25, 30]], np.float32
         (SQUARE[[0, 3, 0, 3, 3]], 1.04, 1.04, 1.0), (SQUARE[[0, 0, 0, 0]], 1.04, 1.04, 1.0),
     ],
 )  # fmt: skip
-def test_the_lesser_growth_of_both_directions_counts_if_points_can_tell_it(points, across, down, told_factor):
+def test_the_smaller_growth_of_both_directions_counts_if_points_can_measure_it(points, across, down, told_factor):
     moved = (points * (across, down) + (3, -2)).astype(np.float32)
     assert math.exp(_log_growth(points, moved)) == pytest.approx(told_factor, abs=1e-4)
 
@@ -168,7 +168,7 @@ class Followed(Flow):
         (Followed(18, 0, surely=18), True), (Followed(9, 0, surely=18), True), (Followed(8, 0, surely=18), False),
     ],
 )  # fmt: skip
-def test_growth_is_believed_where_half_of_the_best_points_agree_and_half_of_those_around_do_not(flow, believed):
+def test_growth_is_accepted_where_half_of_the_best_points_agree_and_half_of_those_around_do_not(flow, believed):
     assert flow.told() == pytest.approx(1.05 if believed else 1.0, abs=1e-3)
 
 
@@ -176,7 +176,7 @@ def test_growth_is_believed_where_half_of_the_best_points_agree_and_half_of_thos
     "box", [Box(-30, 100, 60, 60), Box(390, 270, 60, 60), Box(-500, -500, 40, 40), Box(0, 0, COLS, ROWS),
             Box(-1e6, 10, 1e6, 22), Box(10, -5e5, 22, 1e6)],
 )  # fmt: skip
-def test_a_box_at_or_beyond_the_edge_of_the_image_is_answered_with_a_number(box):
+def test_a_box_at_or_beyond_the_edge_of_the_image_gives_a_number(box):
     assert 0.9 <= told(GROUND, box, image(160, 140, 60), 1e5, -1e5) <= 1.11
     assert 0.9 <= told(GROUND, box, GROUND) <= 1.11
 
@@ -267,7 +267,7 @@ def turning(seed: int, frames: int = 200) -> Iterator[tuple[np.ndarray, Box]]:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_what_turns_under_a_box_that_slipped_off_it_hardly_seems_to_grow(seed):
+def test_a_target_that_turns_under_a_misplaced_box_hardly_seems_to_grow(seed):
     """A little in each frame would let the box run away: no more than a fifth in a hundred frames is told."""
     shown, sum_of_logs = list(turning(seed, 100)), 0.0
     for (first, box), (second, _) in itertools.pairwise(shown):

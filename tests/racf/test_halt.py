@@ -30,7 +30,7 @@ def halted(
     return halt, box
 
 
-def test_it_goes_on_over_the_ground_as_before_it_halted():
+def test_a_halted_target_is_predicted_at_its_ground_speed_before_the_halt():
     halt, box = halted()
     ahead = halt.moved(box)
     assert (ahead.centre_x - box.centre_x, ahead.centre_y - box.centre_y) == pytest.approx((NOW * 2.0, -NOW * 1.0))
@@ -43,7 +43,7 @@ def test_it_goes_on_over_the_ground_as_before_it_halted():
     assert (further.w, further.h) == (box.w, box.h)
 
 
-def test_it_goes_on_at_the_size_that_it_has():
+def test_the_prediction_keeps_the_present_size():
     halt, box = halted()
     before = halt.moved(box)
     halt.goes_on(None, 2 * SIDE)  # the camera came nearer; the ground is not seen and counts as moving as before
@@ -61,14 +61,14 @@ def test_it_goes_on_at_the_size_that_it_has():
         {"frames": 15},  # nor, for long enough, how it moved itself
     ],
 )
-def test_what_did_not_halt_in_doubt_is_where_it_is_seen(how):
+def test_a_target_that_did_not_halt_at_low_confidence_is_expected_where_it_is_seen(how):
     halt, box = halted(**how)
     assert halt.moved(box) == box
     assert halt.step() is None
 
 
 @pytest.mark.parametrize(("unknown", "halts"), [({4, 9, 14, 19}, True), ({0, 4, 9, 14, 19}, False)])
-def test_its_motion_must_have_been_known_in_four_fifths_of_the_frames_before(unknown, halts):
+def test_the_motion_must_be_known_in_four_fifths_of_the_frames_before_a_halt(unknown, halts):
     halt, box = Halt(), Box.around(100, 100, SIDE, SIDE)
     for k in range(20 + NOW):
         after = box.moved(2.0, 0.0) if k < 20 else box
@@ -77,7 +77,7 @@ def test_its_motion_must_have_been_known_in_four_fifths_of_the_frames_before(unk
     assert (halt.step() is not None) == halts
 
 
-def test_what_moves_on_in_doubt_may_still_be_what_hides_it():
+def test_a_box_that_moves_on_at_low_confidence_may_be_on_the_occluder():
     halt, box = halted()
     for _ in range(2 * NOW):
         halt.goes_on((0.0, 0.0), SIDE)
@@ -87,7 +87,7 @@ def test_what_moves_on_in_doubt_may_still_be_what_hides_it():
     assert halt.step() is not None
 
 
-def test_a_target_that_moved_to_and_fro_did_not_move():
+def test_a_target_that_moved_back_and_forth_did_not_move():
     halt, box = Halt(), Box.around(100, 100, SIDE, SIDE)
     for k in range(30):
         after = box.moved(3.0 if k // 10 % 2 else -3.0, 0.0) if k < 30 - NOW else box
@@ -118,7 +118,7 @@ def test_the_motion_is_forgotten_when(forgets):
     assert halt.moved(box) == box
 
 
-def test_it_may_have_halted_in_truth_and_is_expected_where_it_stood_also():
+def test_a_halt_may_be_real_so_the_target_is_also_expected_where_it_stood():
     halt, box = halted()
     for _ in range(LONGEST - 5):  # it stands, seen in doubt
         halt.goes_on((1.0, 0.0), SIDE)
@@ -140,7 +140,7 @@ GROUND = cv2.GaussianBlur(np.random.default_rng(7).integers(0, 256, (300, 900, 3
 
 @pytest.mark.parametrize("pan", [0, 2, -3])
 @pytest.mark.parametrize("w", [12, 30, 90])
-def test_the_flow_around_a_target_is_the_grounds(pan, w):
+def test_the_flow_around_a_target_is_that_of_the_ground(pan, w):
     flow, wide = Flow(), cv2.normalize(GROUND, None, 40, 210, cv2.NORM_MINMAX)
     first, second = wide[:, 300:700].copy(), wide[:, 300 - pan : 700 - pan].copy()
     target = cv2.normalize(GROUND[:w, :w], None, 0, 255, cv2.NORM_MINMAX)
@@ -187,7 +187,7 @@ def hidden_by_what_looks_like_it(pan_px: float) -> list[tuple[np.ndarray, Box]]:
 
 
 @pytest.mark.parametrize("pan_px", [0.0, -1.5, 1.5])
-def test_a_target_lost_after_it_halted_in_doubt_is_expected_where_it_went_on(pan_px):
+def test_a_target_lost_after_a_doubtful_halt_is_expected_where_it_would_have_moved(pan_px):
     shown, tracker = hidden_by_what_looks_like_it(pan_px), Racf("racf-,robust")
     tracker.init(*shown[0])
     tracks = [tracker.update(image) for image, _ in shown[1:]]
@@ -199,7 +199,7 @@ def test_a_target_lost_after_it_halted_in_doubt_is_expected_where_it_went_on(pan
         assert abs(box.centre_y - truth.centre_y) < 0.2 * box.h
 
 
-def test_a_caller_that_expects_the_target_somewhere_is_believed():
+def test_a_prior_of_the_caller_overrides_the_prediction():
     shown, tracker = hidden_by_what_looks_like_it(0.0), Racf("racf-,robust")
     tracker.init(*shown[0])
     expected = Box.around(380, 140, 40, 40)
@@ -212,7 +212,7 @@ def test_a_caller_that_expects_the_target_somewhere_is_believed():
 
 
 @pytest.mark.parametrize("hidden", [8, 25])
-def test_a_target_that_halted_in_truth_is_found_where_it_stands_as_soon_as_it_is_seen(hidden):
+def test_a_target_that_really_halted_is_found_where_it_stands_as_soon_as_it_is_seen(hidden):
     """A shadow falls on it as it halts, then something passes in front of it."""
     side, random = 40, np.random.default_rng(8)
     target = cv2.resize(random.integers(0, 256, (6, 6, 3), dtype=np.uint8), (side, side), interpolation=cv2.INTER_CUBIC)

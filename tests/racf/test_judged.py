@@ -34,7 +34,7 @@ def walk(frames: int) -> list[Box]:
     return [box(40 + 3 * k, 100) for k in range(1, frames + 1)]
 
 
-def test_boxes_on_the_target_are_believed_as_they_are():
+def test_boxes_on_the_target_are_passed_on_unchanged():
     judged = JudgedBoxes(AlwaysSure(walk(30)))
     judged.init(image(40, 100), box(40, 100))
     tracks = [judged.update(image(40 + 3 * k, 100)) for k in range(1, 31)]
@@ -44,7 +44,7 @@ def test_boxes_on_the_target_are_believed_as_they_are():
 
 
 @pytest.mark.parametrize("where", [Box(300, 150, 36, 36), Box(-20, -20, 36, 36), Box(395, 236, 900, 0.5)])
-def test_a_box_that_jumps_to_the_ground_is_not_found_although_the_tracker_is_sure_of_it(where):
+def test_a_box_that_jumps_to_the_ground_is_not_found_even_at_full_confidence(where):
     judged = JudgedBoxes(AlwaysSure([*walk(10), *[where] * 5]))
     judged.init(image(40, 100), box(40, 100))
     for k in range(1, 11):
@@ -80,7 +80,7 @@ def test_a_box_that_slides_onto_the_neighbour_does_not_take_ours_along(speed):
     assert all(start.iou(box(100, 100)) > 0.8 for start in sliding.starts)
 
 
-def test_the_size_is_the_other_trackers():
+def test_the_size_is_that_of_the_other_tracker():
     sizes = [Box.around(118, 118, 36 + 0.5 * k, 36 - 0.2 * k) for k in range(1, 21)]
     judged = JudgedBoxes(AlwaysSure(sizes))
     judged.init(image(100, 100), box(100, 100))
@@ -101,7 +101,7 @@ def test_a_size_that_is_wrong_for_a_frame_does_not_lose_the_target(wrong):
     assert all(track.found and track.box.iou(box(100, 100)) > 0.9 for track in tracks[25:])
 
 
-def test_what_follow_flies_of_opencvs_trackers_is_judged_and_ours_is_not():
+def test_follow_judges_opencvs_trackers_and_not_ours():
     assert isinstance(TrackerSpec.parse("mil").flown().build(), JudgedBoxes)
     assert not isinstance(TrackerSpec.parse("mil").build(), JudgedBoxes)
     assert isinstance(TrackerSpec.parse("mil,judged=false").flown().build(), JudgedBoxes)
@@ -133,7 +133,7 @@ class Failing(AlwaysSure):
 @pytest.mark.parametrize(
     "failure", [ValueError("nan"), cv2.error("assertion"), RuntimeError("out of memory"), None, (1, 2, 3, 4)]
 )
-def test_a_tracker_that_fails_has_found_nothing_and_the_target_is_held_all_the_same(failure, caplog):
+def test_a_tracker_that_fails_has_found_nothing_and_our_filter_still_holds_the_target(failure, caplog):
     judged = JudgedBoxes(Failing([*walk(10), *[failure] * 40]))
     judged.init(image(40, 100), box(40, 100))
     tracks = [judged.update(image(40 + 3 * k, 100)) for k in range(1, 31)]
@@ -157,7 +157,7 @@ GREY = image(40, 100)[..., 0].copy()
         (GROUND, None, "an image is a numpy array, not NoneType"),
     ],
 )
-def test_an_image_that_does_not_belong_is_refused_as_our_own_tracker_refuses_it(first, then, told):
+def test_an_invalid_image_is_refused_as_by_our_own_tracker(first, then, told):
     judged = JudgedBoxes(AlwaysSure(walk(3)))
     if first is not None:
         judged.init(first, box(40, 100))
@@ -197,7 +197,7 @@ class Honest(AlwaysSure):
         return dataclasses.replace(self.track(self.starts[-1]), found=False)
 
 
-def test_a_tracker_that_says_itself_that_it_has_found_nothing_leaves_ours_alone(caplog):
+def test_while_the_tracker_reports_not_found_our_filter_tracks_alone(caplog):
     judged = JudgedBoxes(Honest([]))
     judged.init(image(40, 100), box(40, 100))
     tracks = [judged.update(image(40 + 3 * k, 100)) for k in range(1, 31)]
@@ -205,7 +205,7 @@ def test_a_tracker_that_says_itself_that_it_has_found_nothing_leaves_ours_alone(
     assert not caplog.records
 
 
-def test_the_stages_tell_what_the_other_tracker_took():
+def test_the_stages_include_the_time_of_the_other_tracker():
     judged = JudgedBoxes(AlwaysSure(walk(1)))
     judged.init(image(40, 100), box(40, 100))
     stages = judged.update(image(43, 100)).stage_ms

@@ -56,7 +56,7 @@ def test_a_video_is_named_and_so_is_a_failed_start(data, tmp_path, capsys):
     assert "clip.mp4, frame 0: tracker faulty:Mine: init failed in the first frame: KeyError: 'weights'" in err
 
 
-def test_a_replay_ends_with_the_trackers_words(data, tmp_path, capfd):
+def test_a_replay_ends_with_the_trackers_message(data, tmp_path, capfd):
     write(tmp_path / "clip.mp4", 6)
     words = ["replay", str(tmp_path / "clip.mp4"), "--target", "309,192,22,48", "--out", str(tmp_path / "out")]
     assert follow([*words, "--tracker", "faulty:Mine,at=3"]) == 1
@@ -145,6 +145,6 @@ def test_numpys_whole_numbers_are_whole_numbers(data):
     assert evaluate(data, trackers="racf--", jobs=np.int64(1), jitter=np.uint8(0), only="one", progress=False).boxes
 
 
-def test_the_packages_list_what_they_offer_and_nothing_else():
+def test_dir_of_the_packages_lists_their_public_names_only():
     for package in (racf, racf.evaluate):
         assert {name for name in dir(package) if not name.startswith("__")} == set(package.__all__)

@@ -18,13 +18,13 @@ def leave_a_mark(job: tuple[float, Path]) -> str:
     return mark.name
 
 
-def test_every_job_comes_back_with_its_own_answer(tmp_path):
+def test_every_job_returns_its_own_result(tmp_path):
     jobs = [(0.01 * (3 - i), tmp_path / str(i)) for i in range(4)]
     assert {job[1].name: answer for job, answer in each(leave_a_mark, jobs, 2)} == {str(i): str(i) for i in range(4)}
     assert not list(each(leave_a_mark, []))
 
 
-def test_a_caller_who_goes_away_ends_the_work_that_has_begun(tmp_path):
+def test_the_end_of_the_caller_ends_running_work(tmp_path):
     quick, slow = tmp_path / "quick", tmp_path / "slow"
     answers = each(leave_a_mark, [(0.0, quick), (20.0, slow)], 2)
     next(answers)
@@ -39,6 +39,6 @@ def die(_: int) -> None:
     os._exit(1)
 
 
-def test_a_process_that_dies_is_told_with_what_to_do():
+def test_a_process_that_dies_is_reported_with_the_remedy():
     with pytest.raises(ChildProcessError, match="__main__"):
         list(each(die, [1, 2], 1))

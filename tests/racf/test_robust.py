@@ -156,7 +156,7 @@ def test_something_darker_than_the_sky_is_called_found(darker, side, grey):
 
 
 @pytest.mark.parametrize("belief", [0.0, 0.25, 1.0])
-def test_a_doubtful_response_moves_the_box_from_the_prediction_as_far_as_it_is_believed(belief, monkeypatch):
+def test_a_doubtful_response_moves_the_box_from_the_prediction_in_proportion_to_confidence(belief, monkeypatch):
     tracker, expected = settled(), box(60, 100)
     match = tracker._filter.locate(GROUND, expected)
     ratio = ROBUST.lost_below + belief * (ROBUST.learn_above - ROBUST.lost_below)
@@ -189,7 +189,7 @@ def test_nothing_is_learned_while_the_target_is_hidden():
 
 
 @pytest.mark.parametrize("belief", [0.5, 0.75])
-def test_a_clear_frame_is_learned_the_more_the_more_it_is_believed(belief, monkeypatch):
+def test_the_learning_step_is_proportional_to_confidence(belief, monkeypatch):
     def learned(believed: float) -> np.ndarray:
         tracker = settled()
         before = tracker._filter._model_f.copy()
@@ -223,7 +223,7 @@ def test_a_target_that_turns_in_plain_view_is_kept(seed):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_what_slowly_hides_a_target_is_not_taken_for_it(seed):
+def test_an_occluder_that_slowly_hides_a_target_is_not_taken_for_it(seed):
     """A wall passes over a standing target, 1.7 % of its side in each frame."""
     wall = np.random.default_rng(seed).integers(0, 256, WALL.shape, dtype=np.uint8)
     wall = cv2.GaussianBlur(wall, (0, 0), 1 + seed)
@@ -259,7 +259,7 @@ def test_a_target_that_reappears_where_it_is_expected_is_found_at_once():
     assert tracker.update(image(x + SIDE // 2, y + SIDE // 4)).found
 
 
-def test_a_look_alike_that_shows_up_first_is_not_taken_if_the_target_comes_while_it_is_compared():
+def test_a_look_alike_that_appears_first_is_not_taken_if_the_target_appears_during_the_comparison():
     noise = np.random.default_rng(4).integers(0, 256, TARGET.shape, dtype=np.uint8)
     other = cv2.addWeighted(TARGET, 0.75, cv2.resize(noise[::7, ::7], (SIDE, SIDE), interpolation=0), 0.25, 0)
     alone, both = GROUND.copy(), image(150, 160)
@@ -279,7 +279,7 @@ def test_a_look_alike_that_shows_up_first_is_not_taken_if_the_target_comes_while
     assert right.box.iou(box(150, 160)) > 0.7
 
 
-def test_a_target_just_lost_is_not_taken_to_be_far_away_at_once():
+def test_a_target_just_lost_is_not_at_once_accepted_far_away():
     tracker = settled()
     far = [tracker.update(image(200, 60)).found for _ in range(40)]
     assert not any(far[: ROBUST.redetect_patience - 1])
@@ -301,7 +301,7 @@ def test_without_re_detection_a_target_elsewhere_stays_lost():
 @pytest.mark.parametrize("params", [preset("racf"), ROBUST])
 @pytest.mark.parametrize("scene", [image(67, 100), image(300, 60), GROUND, 0 * GROUND])
 @pytest.mark.parametrize(("prior", "copies"), [(None, deepcopy), (box(300, 60), deepcopy), (None, copy)])
-def test_a_copy_of_a_tracker_sees_what_the_tracker_sees(params, scene, prior, copies):
+def test_a_copy_of_a_tracker_returns_the_same_boxes(params, scene, prior, copies):
     tracker = settled(params)
     copied = copies(tracker)
     own, its = (one.update(scene, prior) for one in (tracker, copied))

@@ -178,7 +178,7 @@ def test_arrays_have_the_shapes_that_the_docstrings_say(name, colour, box, monke
     assert unused == (set() if name == "racf,robust" else {"_cut"})
 
 
-def test_a_wrong_shape_is_seen(monkeypatch):
+def test_a_wrong_shape_is_detected(monkeypatch):
     seen = Seen(monkeypatch)
     seen.wrap(fourier.PrunedDft, "forward", forward)
     grid = fourier.PrunedDft(10, 12, (4, 4), 3)

@@ -14,7 +14,7 @@ def test_the_first_of_the_boxes_is_the_targets_own_and_the_others_are_not():
 
 
 @pytest.mark.parametrize("change", BOXES)
-def test_a_misplaced_box_has_the_size_and_the_place_that_it_is_told(change):
+def test_a_misplaced_box_has_the_requested_size_and_place(change):
     times, right, down = change
     moved = misplaced(Box(100.0, 50.0, 20.0, 40.0), change)
     assert (moved.w, moved.h) == pytest.approx((20.0 * times, 40.0 * times))

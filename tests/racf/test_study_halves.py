@@ -39,7 +39,7 @@ def test_a_choice_is_judged_only_by_the_other_half() -> None:
     assert over(reported, HALVES["A"]) == (50.0, 50.0)
 
 
-def test_a_paired_difference_does_not_feel_how_hard_sequences_are() -> None:
+def test_a_paired_difference_does_not_depend_on_the_difficulty_of_sequences() -> None:
     rng = np.random.default_rng(0)
     hard = dict(zip(EVERY, rng.uniform(0, 90, (20, 2)).tolist(), strict=True))
     better = {name: (p + 3.0, a + 2.0) for name, (p, a) in hard.items()}
@@ -91,7 +91,7 @@ def printed(capsys, monkeypatch, *arguments: object) -> str:
     return capsys.readouterr().out
 
 
-def test_a_study_reads_the_runs_that_it_left(twenty, tmp_path, capsys, monkeypatch):
+def test_a_study_reuses_its_stored_runs(twenty, tmp_path, capsys, monkeypatch):
     asked = (twenty, "--tracker", "racf--", "--against", "bacf", "--jobs", 1, "--out", tmp_path / "out")
     first = printed(capsys, monkeypatch, *asked)
     assert [line.split("|")[1].strip() for line in first.splitlines()[2:]] == [f"`{AUTHORS}`", "`bacf`", "`racf--`"]
@@ -121,14 +121,14 @@ def test_some_of_the_sequences_are_enough_and_the_authors_boxes_are_not_needed(t
         (("--tracker", "racf", "--only", "person99"), "--only names sequences of the study"),
     ],
 )
-def test_wrong_arguments_are_told_in_one_line_before_anything_runs(twenty, capsys, monkeypatch, wrong, told):
+def test_wrong_arguments_are_reported_in_one_line_before_anything_runs(twenty, capsys, monkeypatch, wrong, told):
     with pytest.raises(SystemExit):
         printed(capsys, monkeypatch, twenty, "--starts", "seven", *wrong)
     assert told in capsys.readouterr().err.splitlines()[-1]
 
 
 @pytest.mark.parametrize("study", [authors, confidence, occlusions, other_starts, reliability])
-def test_a_wrong_tracker_is_told_in_one_line_by_every_study(study, tmp_path, capsys, monkeypatch):
+def test_a_wrong_tracker_is_reported_in_one_line_by_every_study(study, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(sys, "argv", ["study", str(tmp_path), "--tracker", "racff"])
     with pytest.raises(SystemExit):
         study.main()
@@ -137,7 +137,7 @@ def test_a_wrong_tracker_is_told_in_one_line_by_every_study(study, tmp_path, cap
 
 @pytest.mark.skipif(importlib.util.find_spec("distributed") is not None, reason="the extra dask is installed")
 @pytest.mark.parametrize("study", [halves, reliability])
-def test_a_cluster_that_cannot_be_used_is_told_in_one_line(study, twenty, tmp_path, capsys, monkeypatch):
+def test_a_cluster_that_cannot_be_used_is_reported_in_one_line(study, twenty, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(sys, "argv", ["study", str(twenty), "--tracker", "racf--", "--dask", "nonsense"])
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SystemExit) as end:
@@ -150,7 +150,7 @@ def test_a_cluster_that_cannot_be_used_is_told_in_one_line(study, twenty, tmp_pa
     )
 
 
-def test_sequences_too_short_for_an_occlusion_are_told_and_no_table_of_nothing_is_printed(twenty, capsys, monkeypatch):
+def test_sequences_too_short_for_an_occlusion_are_reported_and_no_empty_table_is_printed(twenty, capsys, monkeypatch):
     monkeypatch.setattr(sys, "argv", ["study", str(twenty)])
     with pytest.raises(SystemExit):
         occlusions.main()

@@ -103,7 +103,7 @@ class _Answers:
         return Track(box, box, psr=9.0, apce=0.0, confidence=1.0, found=self.known.found)
 
 
-def test_who_stays_on_the_target_keeps_it_and_who_goes_with_the_piece_is_false(walk):
+def test_a_tracker_that_stays_keeps_the_target_and_one_that_follows_the_piece_is_false(walk):
     truth = {walk.name: truth_of(walk)}
     event = next(iter(drawn(walk, 0)))
     target = truth[walk.name][event.first : event.first + len(event.frames)]
@@ -138,7 +138,7 @@ def test_a_tracker_is_shown_the_piece_at_the_place_of_each_frames_target(walk, m
     assert (seen[-len(event.frames) + middle] != read_frame(event.frames[middle])).any()
 
 
-def test_an_end_is_told_by_found_and_overlap():
+def test_the_end_of_an_event_follows_from_found_and_overlap():
     ends = [occlusions._end(*case) for case in ((0.31, True), (0.3, True), (0.0, True), (0.9, False))]
     assert ends == ["kept", "between", "false", "lost"]
 

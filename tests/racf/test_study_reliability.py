@@ -26,7 +26,7 @@ def test_every_frame_is_in_one_bin_the_ends_of_the_range_included():
     assert [(low, count) for low, _, count, *_ in rows] == [(0.0, 1), (0.1, 1), (0.5, 1), (0.9, 2)]
 
 
-def test_a_confidence_that_means_what_it_says_lies_on_the_diagonal():
+def test_a_calibrated_confidence_lies_on_the_diagonal():
     frames = drawn(200_000)
     for *_, mean, on, off in diagram(frames):
         assert on == pytest.approx(mean, abs=0.02)

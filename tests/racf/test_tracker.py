@@ -77,7 +77,7 @@ def test_the_same_frames_give_the_same_boxes():
 @pytest.mark.parametrize("shape", [(241, 321), (97, 131), (480, 641)])
 @pytest.mark.parametrize("side", [4, 17, 90])
 @pytest.mark.parametrize("at", [(0.5, 0.5), (0.02, 0.02), (0.98, 0.5)])
-def test_odd_sizes_and_places_are_tracked_without_complaint(shape, side, at):
+def test_odd_sizes_and_places_are_tracked_without_an_error(shape, side, at):
     x, y = at[0] * shape[1], at[1] * shape[0]
     tracker = Racf(preset("racf"))
     tracker.init(scene(x, y, side, shape), around(x, y, side))

@@ -183,7 +183,7 @@ def test_a_wrong_address_is_one_line_and_no_trace():
     assert "udpout:HOST:PORT" in done.stderr
 
 
-def test_it_says_what_it_simulates_and_each_change_of_mode():
+def test_the_program_prints_what_it_simulates_and_each_change_of_mode():
     (port,) = free_ports(1)
     words = ["--autopilot", "ardupilot", "--height-m", "6", "--link", f"udpout:127.0.0.1:{port}", "--seconds", "4"]
     words += ["--set", "FENCE_ENABLE=1", "--set", "FENCE_ALT_MAX=5", "--speedup", "10"]

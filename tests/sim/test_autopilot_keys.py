@@ -48,7 +48,7 @@ def remote_healthy(flight: AutopilotCore) -> bool:
 
 
 @BOTH
-def test_every_mode_key_asks_for_its_mode_and_is_told(autopilot):
+def test_every_mode_key_requests_its_mode_and_is_reported(autopilot):
     for key, mode in MODES[autopilot].items():
         pilot, lines = piloted(autopilot)
         assert f"{key} {mode}" in pilot.help()

@@ -49,7 +49,7 @@ def test_an_override_of_65535_keeps_a_channel_and_one_of_0_releases_it(autopilot
 
 
 @BOTH
-def test_an_axis_of_32767_is_none_and_sticks_stay_between_their_ends(autopilot):
+def test_an_axis_of_32767_is_absent_and_sticks_are_clipped(autopilot):
     bench = Bench(autopilot)
     absent, pilot = 32767, dialect.MAVLink(None, 255, 190)
     bench.say(pilot.manual_control_encode(1, 500, absent, absent, -30000, 0), pilot)
@@ -66,7 +66,7 @@ def test_an_axis_of_32767_is_none_and_sticks_stay_between_their_ends(autopilot):
     ("autopilot", "parameters", "seconds"),
     [(PX4, {}, 0.5), (ARDUPILOT, {}, 3.0), (ARDUPILOT, {"RC_OVERRIDE_TIME": 1.0}, 1.0)],
 )
-def test_sticks_are_forgotten_when_nobody_tells_them_any_more(autopilot, parameters, seconds):
+def test_sticks_time_out_when_no_more_arrive(autopilot, parameters, seconds):
     bench = Bench(autopilot, **parameters)
     for _ in range(3):
         override(bench, 1500, 1500, 1500, 1600, 1900)
@@ -77,7 +77,7 @@ def test_sticks_are_forgotten_when_nobody_tells_them_any_more(autopilot, paramet
     assert channels(bench) == [65535] * 6
 
 
-def test_ardupilot_keeps_sticks_for_ever_when_told_so():
+def test_ardupilot_keeps_sticks_for_ever_if_the_parameter_says_so():
     bench = Bench(ARDUPILOT, RC_OVERRIDE_TIME=-1.0)
     override(bench, 1500, 1500, 1500, 1600)
     bench.wait(20.0)
@@ -100,7 +100,7 @@ def test_an_unknown_command_is_unsupported_and_a_foreign_one_is_not_answered():
 
 
 @BOTH
-def test_a_parameter_that_is_set_is_told_and_kept(autopilot):
+def test_a_parameter_that_is_set_is_reported_and_kept(autopilot):
     name, value = {PX4: ("COM_OF_LOSS_T", 0.5), ARDUPILOT: ("GUID_TIMEOUT", 0.5)}[autopilot]
     bench = Bench(autopilot)
     bench.say(dialect.MAVLink_param_set_message(1, 1, name.encode(), value, 9))
@@ -112,7 +112,7 @@ def test_a_parameter_that_is_set_is_told_and_kept(autopilot):
 @BOTH
 @pytest.mark.parametrize("wild", [math.nan, math.inf])
 @pytest.mark.parametrize(("command", "place"), [(176, 1), (511, 0), (512, 0)])  # mode, interval, request
-def test_a_command_whose_whole_number_is_none_is_denied(autopilot, wild, command, place):
+def test_a_command_with_nan_for_an_integer_is_denied(autopilot, wild, command, place):
     bench = Bench(autopilot)
     assert bench.command(command, *(0.0,) * place, wild) == 2
     bench.wait(1.1)
@@ -120,7 +120,7 @@ def test_a_command_whose_whole_number_is_none_is_denied(autopilot, wild, command
 
 
 @BOTH
-def test_a_sub_mode_that_is_none_counts_as_0(autopilot):
+def test_a_sub_mode_of_nan_counts_as_0(autopilot):
     bench = Bench(autopilot)
     bench.stream(1.0)
     assert bench.command(176, 1, NUMBERS[autopilot][CONTROL[autopilot]][0], math.nan) == 0
@@ -131,7 +131,7 @@ def test_a_sub_mode_that_is_none_counts_as_0(autopilot):
     ("autopilot", "name"), [(PX4, "COM_OF_LOSS_T"), (ARDUPILOT, "GUID_TIMEOUT"), (ARDUPILOT, "FENCE_ACTION")]
 )
 @pytest.mark.parametrize("wild", [math.nan, math.inf])
-def test_a_parameter_is_not_set_to_what_is_no_number(autopilot, name, wild):
+def test_a_parameter_is_not_set_to_nan(autopilot, name, wild):
     bench = Bench(autopilot)
     before = bench.flight.parameters[name]
     bench.say(dialect.MAVLink_param_set_message(1, 1, name.encode(), wild, 9))
@@ -157,7 +157,7 @@ def test_the_whole_list_of_parameters_comes_on_request(autopilot):
 
 
 @BOTH
-def test_a_parameter_is_read_by_the_flight_or_told_as_not_obeyed(autopilot):
+def test_a_parameter_is_used_by_the_flight_or_listed_as_not_obeyed(autopilot):
     root = Path(__file__).parents[2]
     flight = "".join((root / "sim/autopilot" / f"{part}.py").read_text() for part in ("core", "rules"))
     flight += inspect.getsource(flown)

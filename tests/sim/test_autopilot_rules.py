@@ -63,7 +63,7 @@ def test_without_yaw_rate_px4_holds_its_heading_and_ardupilot_turns_to_its_cours
     assert yaw[ARDUPILOT] == pytest.approx(math.pi / 2, abs=0.2)
 
 
-def test_px4_answers_a_mode_request_twice_and_only_the_second_tells():
+def test_px4_acknowledges_a_mode_request_twice_and_only_the_second_is_the_result():
     bench = Bench(PX4)
     assert bench.mode("OFFBOARD") == [0, 1]
     assert bench.flight.mode == "HOLD"
@@ -78,7 +78,7 @@ def test_ardupilot_answers_once_and_changes_at_once():
     assert bench.mode_in_heartbeat() == 4
 
 
-def test_px4_tells_a_new_mode_with_its_next_heartbeat_only():
+def test_px4_reports_a_new_mode_with_its_next_heartbeat_only():
     bench = Bench(PX4).under_control()
     bench.wait(0.9)  # just after a heartbeat
     bench.mode("RTL")
@@ -236,7 +236,7 @@ def test_without_our_heartbeat_it_keeps_flying(autopilot):
     assert bench.flight.mode == CONTROL[autopilot]
 
 
-def test_a_lost_ground_station_ends_guided_only_when_asked_to():
+def test_a_lost_ground_station_ends_guided_only_if_the_parameter_says_so():
     for enabled, mode in ((0, "GUIDED"), (1, "RTL")):
         bench = Bench(ARDUPILOT, FS_GCS_ENABLE=enabled).under_control()
         station = dialect.MAVLink(None, 255, 190)
@@ -265,7 +265,7 @@ def test_sticks_break_offboard_only_with_bit_1_of_com_rc_override(override, mode
         (ARDUPILOT, {"AVOID_ENABLE": 0, "FENCE_ENABLE": 1, "FENCE_RADIUS": 10.0, "FENCE_ACTION": 4}, "BRAKE"),
     ],
 )
-def test_a_fence_takes_the_vehicle_over_and_is_told_as_crossed(autopilot, fence, mode):
+def test_a_fence_takes_the_vehicle_over_and_is_reported_as_breached(autopilot, fence, mode):
     bench = Bench(autopilot, **fence).under_control()
     bench.stream(4.0, x=2.0)
     assert bench.flight.mode == CONTROL[autopilot]

@@ -58,7 +58,7 @@ def test_the_second_ardupilot_starts_later_and_overshoots(data):
             assert half(flown[:, axis]) == pytest.approx(half(measured[:, axis]), abs=0.08)
 
 
-def test_px4_wanders_in_its_reports_and_beyond_them_as_measured(data):
+def test_px4_drifts_in_and_beyond_its_telemetry_as_measured(data):
     """One error of the velocity explains both: what the reports show sideways, and what height shows beyond them."""
     samples = data[Autopilot.PX4]
     error = RESPONSES[Autopilot.PX4][0].velocity_error

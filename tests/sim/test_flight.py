@@ -46,7 +46,7 @@ def test_a_hill_is_as_steep_and_as_long_as_it_is_made(grade, speed_m_s):
 
 
 @pytest.mark.parametrize("speed_m_s", [1.4, 3.0, 6.0])
-def test_who_comes_head_on_reaches_the_drone_that_does_nothing(speed_m_s):
+def test_the_head_on_actor_reaches_a_drone_that_does_nothing(speed_m_s):
     """Over the ground, within a step: only evading keeps the distance."""
     scenario = head_on(speed_m_s)
     world = scenario.world(0)
@@ -60,7 +60,7 @@ def test_who_comes_head_on_reaches_the_drone_that_does_nothing(speed_m_s):
     assert math.cos(start.yaw_rad - poses[0].heading_rad) < -0.99  # face to face
 
 
-def test_who_turns_back_passes_below_where_the_drone_was():
+def test_the_turn_back_actor_passes_below_the_start_of_the_drone():
     scenario = SCENARIOS["turn-back"]
     world = scenario.world(0)
     poses = [world.target(t) for t in np.arange(0.0, scenario.duration_s, 0.05)]
@@ -72,7 +72,7 @@ def test_who_turns_back_passes_below_where_the_drone_was():
 
 
 @pytest.mark.parametrize("speed_m_s", [3.0, 5.0, 7.0])
-def test_who_runs_through_the_door_does_so_at_full_speed_and_is_not_seen_again(speed_m_s):
+def test_the_doorway_actor_runs_at_full_speed_and_is_not_visible_again(speed_m_s):
     scenario = doorway(speed_m_s)
     world = replace(scenario.world(0), ground_texels=1024)
     house = world.blocks[0]
@@ -92,7 +92,7 @@ def test_who_runs_through_the_door_does_so_at_full_speed_and_is_not_seen_again(s
     assert max(inside) == 0.0
 
 
-def test_who_outruns_the_drone_is_faster_than_its_limit():
+def test_the_outrun_actor_is_faster_than_the_limit():
     scenario = SCENARIOS["outrun"]
     assert scenario.world(0).target(scenario.duration_s).speed_m_s > scenario.limits["speed_m_s"] + 2.0
 
@@ -154,7 +154,7 @@ def test_there_are_at_least_twelve_scenarios_over_all_targets():
 
 
 @pytest.mark.parametrize(("latency_s", "fps"), [(0.0, 30.0), (0.1, 30.0), (0.4, 20.0), (0.2, 10.0), (0.0, 60.0)])
-def test_a_frame_comes_late_by_the_latency_and_says_when_it_was_taken(latency_s, fps):
+def test_a_frame_arrives_after_the_latency_with_its_own_time(latency_s, fps):
     scenario = replace(SCENARIOS["walker"], latency_s=latency_s, frames_per_s=fps, duration_s=1.5)
     camera, link, _ = build(scenario, 0, Autopilot.ARDUPILOT)
     camera.scene.draw = lambda view, t_s: (BLANK, NOTHING)
@@ -180,7 +180,7 @@ def test_dropped_frames_leave_gaps_in_number_as_they_would_on_a_wire():
 
 
 @both
-def test_the_link_flies_the_setpoint_and_tells_it(autopilot):
+def test_the_link_flies_the_setpoint_and_reports_it(autopilot):
     link = SimLink(Vehicle(autopilot, VehicleTruth(down_m=-20.0)))
     for _ in range(300):
         link.send(Setpoint(forward_m_s=2.0))
@@ -220,7 +220,7 @@ def test_leaving_the_link_ends_in_hover():
     assert link.setpoint == HOVER
 
 
-def test_a_live_flight_puts_the_scene_where_the_vehicle_is():
+def test_a_live_flight_places_the_scene_about_the_vehicle():
     vehicle = Vehicle(Autopilot.ARDUPILOT, VehicleTruth(north_m=70.0, east_m=-30.0, down_m=-6.0, yaw_rad=2.0))
     start = VehicleTruth(north_m=-9.0, down_m=-6.0, yaw_rad=0.1)
     flight = LiveFlight(SimLink(vehicle), start)
@@ -252,7 +252,7 @@ class Stalled(SimLink):
 
 
 @pytest.mark.parametrize("age_s", [0.0, 0.05, 0.3, 2.0, 60.0])
-def test_a_live_scene_carries_the_vehicle_on_by_its_velocity_but_not_without_bound(age_s):
+def test_a_live_scene_extrapolates_the_vehicle_by_its_velocity_within_a_bound(age_s):
     link = Stalled(Vehicle(Autopilot.ARDUPILOT, VehicleTruth(down_m=-6.0)))
     flight = LiveFlight(link, VehicleTruth(down_m=-6.0))
     flight.advance(0.0)

@@ -115,7 +115,7 @@ def test_a_shadow_falls_along_the_rays_of_the_sun_onto_the_ground(terrain):
     np.testing.assert_allclose(-fallen[:, 2], terrain.heights(fallen) + 0.01, atol=1e-9)
 
 
-def test_a_crest_hides_what_is_behind_it_and_nothing_before_it():
+def test_a_crest_hides_what_is_behind_it_and_nothing_in_front_of_it():
     ridge = Terrain(((0.0, 0.0), (10.0, 5.0), (20.0, 0.0)))
     points = np.array([(5.0, 0.0, -2.6), (25.0, 0.0, 0.0), (25.0, 0.0, -9.1), (-5.0, 0.0, 0.0)])
     assert ridge.hides(np.array([-10.0, 0.0, -2.0]), points).tolist() == [False, True, False, False]
@@ -127,7 +127,7 @@ def test_a_crest_hides_what_is_behind_it_and_nothing_before_it():
 
 
 @pytest.mark.parametrize("grade", [0.2, -0.2])
-def test_who_walks_on_a_slope_looks_the_same_from_the_same_side(grade):
+def test_a_walker_on_a_slope_looks_the_same_from_the_same_side(grade):
     """The camera goes up with the actor: the box is the one on level ground, and the body stands on the slope."""
     terrain = slope(grade, -30.0, 90.0)
     level, hill = Scene(standing(), CAMERA), Scene(standing(terrain=terrain), CAMERA)
@@ -184,7 +184,7 @@ def test_a_wall_hides_as_much_as_its_height_says():
 
 
 @pytest.mark.parametrize("yaw", [-0.6, 0.0, 0.4])
-def test_a_wall_that_begins_behind_the_camera_hides_who_is_behind_it(yaw):
+def test_a_wall_that_begins_behind_the_camera_hides_a_person_behind_it(yaw):
     """Its rays decide: what meets the wall's near face ahead of the camera has the wall's colour."""
     long = wall(-10.3, -1.0, 40.0, 0.0, 5.0, (0, 0, 250))
     v = view(0.0, -1.6, height_m=1.0, down_deg=0.0, yaw=yaw)
@@ -203,7 +203,7 @@ def test_a_wall_that_begins_behind_the_camera_hides_who_is_behind_it(yaw):
 
 @pytest.mark.parametrize("windows", [False, True])
 @pytest.mark.parametrize("heading", [0.0, 1.0, 2.5, 4.0])
-def test_a_house_shows_its_near_sides_and_hides_who_is_inside(heading, windows):
+def test_a_house_shows_its_near_sides_and_hides_a_person_inside(heading, windows):
     """Its lowest pixel lies where the nearest corner of its base is projected: the far sides are not drawn."""
     house = Block(6.0, 0.0, 12.0, 8.0, 5.0, heading, (0, 0, 250), (0, 250, 0), windows=windows)
     scene = Scene(standing(north_m=7.0, blocks=(house,)), CAMERA)
@@ -221,7 +221,7 @@ def test_a_tree_between_hides():
     assert Scene(standing(trees=trees), CAMERA).draw(view(), 0.0)[1][0].visible < 0.3
 
 
-def test_what_leaves_the_picture_is_not_visible():
+def test_an_actor_that_leaves_the_image_is_not_visible():
     turned = Scene(standing(), CAMERA).draw(view(yaw=1.2), 0.0)[1][0]
     assert turned.visible == 0.0
     assert turned.box is None or turned.box.x + turned.box.w < 0 or turned.box.x > CAMERA.width
@@ -229,7 +229,7 @@ def test_what_leaves_the_picture_is_not_visible():
     assert behind == Seen(None, 0.0)
 
 
-def test_a_car_of_which_the_near_plane_leaves_a_line_is_not_seen(monkeypatch):
+def test_a_car_cut_to_a_line_by_the_near_plane_is_not_visible(monkeypatch):
     line = Drawn(1.0, [], (300.0, 100.0), (300.0, 250.0))
     monkeypatch.setattr("sim.scene.rendering.drawn_body", lambda *_: line)
     assert Scene(standing(Kind.CAR), CAMERA).draw(view(), 0.0)[1] == (Seen(None, 0.0),)

@@ -52,7 +52,7 @@ ASIDE = Box.around(480, 180, 20, 50)
 LIMITS = {"speed_m_s": 5.0, "accel_m_s2": 3.0, "yaw_rate_rad_s": 1.0, "climb_m_s": 2.0, "floor_m": 2.0, "fence_m": 50.0}
 
 
-def test_a_target_in_the_middle_at_its_distance_scores_without_fault():
+def test_a_target_in_the_middle_at_its_distance_has_a_perfect_score():
     s = score(rows([MIDDLE] * 10), CAMERA, 9.0, LIMITS)
     assert (s.in_view, s.centring_rms, s.standoff_rms_m, s.off_target_s, s.decoy_s) == (1.0, 0.0, 0.0, 0.0, 0.0)
     assert s.violations == {}
@@ -71,7 +71,7 @@ def test_a_target_outside_or_behind_is_not_in_view():
     assert s.in_view == 0.5
 
 
-def test_following_the_look_alike_is_told_by_its_longest_time():
+def test_following_the_look_alike_is_scored_by_its_longest_time():
     s = score(
         rows([MIDDLE] * 30, tracked=[MIDDLE] * 10 + [ASIDE] * 12 + [MIDDLE] * 8, others=[ASIDE] * 30), CAMERA, 9, {}
     )
@@ -149,7 +149,7 @@ def test_height_limits_are_about_the_ground_below_the_vehicle():
     assert score(sunk, CAMERA, 9.0, LIMITS | {"ceiling_m": 20.0}).violations == {"ceiling_m": 4}
 
 
-def test_what_is_sent_after_a_pause_is_no_acceleration():
+def test_the_first_setpoint_after_a_pause_is_no_acceleration():
     sent = [HOVER, None, Setpoint(2.0), Setpoint(2.0), Setpoint(forward_m_s=2.0, down_m_s=1.0)]
     limits = LIMITS | {"climb_accel_m_s2": 2.0}
     assert score(rows([MIDDLE] * 5, sent=sent), CAMERA, 9.0, limits).violations == {"climb_accel_m_s2": 1}
