@@ -1,4 +1,4 @@
-"""Tests run one to a core: a library's own threads would only fight the neighbour's."""
+"""Tests run one to a core, so a library's own threads would only compete with the tests on other cores."""
 
 from collections.abc import Generator
 from contextlib import nullcontext
@@ -17,7 +17,7 @@ settings.load_profile("laws")
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item: pytest.Item) -> Generator[None, object, object]:
-    """A test that is late while the host takes the machine away is skipped: it has measured the host."""
+    """Skip a test that is late while the host takes processor time away: it would measure the host."""
     before = processor_ticks()
     try:
         with awake() if item.get_closest_marker("realtime") else nullcontext():

@@ -1,4 +1,4 @@
-"""No path from a mode that is not on the list to a setpoint, none from a dead order: random flights with a referee."""
+"""No setpoint out of a mode that is not listed or after an expired order: random flights against a reference model."""
 
 import random
 from collections import Counter
@@ -61,7 +61,7 @@ SEQUENCES = 300  # for each autopilot: 18,000 rounds; each wrong table below is 
 
 
 def mostly(rng: random.Random, usual, *others):
-    """The usual value in fourteen of fifteen rounds: else no flight would ever get anywhere."""
+    """The usual value in fourteen of fifteen rounds: otherwise no flight would reach FOLLOW."""
     return usual if rng.random() < 14 / 15 else rng.choice(others)
 
 
@@ -86,7 +86,7 @@ def random_round(rng: random.Random) -> Round:
 
 @dataclass
 class Referee:
-    """An independent account of who may fly: it knows the rules and nothing of the gate."""
+    """An independent model of the right to fly: it implements the rules and shares no code with the gate."""
 
     limits: ClassVar[Limits] = LIMITS  # the gate's own; the laws are those of LIMITS
     autopilot: Autopilot
@@ -150,7 +150,7 @@ class Referee:
         )
 
     def judge(self, decision, state: VehicleState, r: Round) -> None:
-        """The laws."""
+        """The properties that must hold in every round."""
         if decision.setpoint is None:
             return
         assert r.armed
@@ -174,7 +174,7 @@ class Referee:
 
 
 def played(autopilot: Autopilot, seed: int) -> Counter[Mode]:
-    """A random sequence, judged round by round; the modes that it reached."""
+    """Check a random sequence round by round; returns the modes that it reached."""
     rng = random.Random(seed)
     referee = Referee(autopilot, LISTED[autopilot][0])
     reached = Counter[Mode]()
@@ -185,7 +185,7 @@ def played(autopilot: Autopilot, seed: int) -> Counter[Mode]:
 
 
 def all_played(autopilot: Autopilot) -> Counter[Mode]:
-    """Every sequence, judged; the modes that they reached."""
+    """Check every sequence; returns the modes that they reached."""
     return sum((played(autopilot, seed) for seed in range(SEQUENCES)), Counter[Mode]())
 
 
@@ -212,14 +212,14 @@ def without(event):
 
 
 def straight(monkeypatch):
-    """An order starts the stream, whatever forbids it."""
+    """A wrong table: an order starts the stream despite every refusal."""
     for mode in (Mode.OBSERVE, Mode.READY):
         for where in Standing:
             monkeypatch.setitem(TABLE, (mode, where, Event.ASKED), Mode.ENGAGE)
 
 
 def outliving(monkeypatch):
-    """An order lives for ever."""
+    """A wrong table: an order never expires."""
     monkeypatch.setattr(Referee, "limits", Limits(order_timeout_s=60.0))
 
 
@@ -312,7 +312,7 @@ def test_a_stick_requests_the_stick_mode_and_every_other_end_requests_hold():
 
 
 def test_a_release_in_our_own_mode_is_reported_as_a_pause_of_the_stream():
-    """The link gives the vehicle back after a pause of the stream; ArduPilot stays in GUIDED then."""
+    """The link releases control after a pause of the stream; ArduPilot then stays in GUIDED."""
     safety, t_s = engaged()
     decision = safety.allow(HOVER, seen(t_s), flying(t_s, in_control=False, mode="OFFBOARD"), t_s)
     assert (decision.mode, decision.reason.cause) == (Mode.ENDED, Cause.STREAM_PAUSED)

@@ -27,7 +27,7 @@ CHECKERBOARD, CHARUCO = Board(Pattern.CHECKERBOARD, 9, 6), Board(Pattern.CHARUCO
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """The file that `follow calibrate` makes of drawn images of a board before the scene's own lens."""
+    """The file that `follow calibrate` makes from drawn images of a board, seen through the scene's own lens."""
     folder = tmp_path_factory.mktemp("board")
     camera = BoardCamera(CHARUCO, SCENE)
     for n, pose in enumerate(held(CHARUCO, SCENE, 28)):

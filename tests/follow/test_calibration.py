@@ -1,4 +1,4 @@
-"""A lens from a file: what OpenCV and ROS write means here what it means there, and a bad file is one sentence."""
+"""A lens from a file: files of OpenCV and ROS keep their meaning, and a bad file is refused in one sentence."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""What `--camera` takes, and what it answers to what it does not: one sentence with the rule and what there is."""
+"""The names that `--camera` accepts, and the sentence for any other: the rule and the available choices."""
 
 import errno
 import struct
@@ -75,7 +75,7 @@ def test_srt_is_refused_by_name_where_the_wheel_has_none(monkeypatch):
 
 
 MODES = {"MJPG": {(1280, 720): (30, 15), (640, 480): (30,)}, "YUYV": {(1280, 720): (10,), (320, 240): (30,)}}
-"""What a usual UVC camera has; the third entry of linux/videodev2.h's enumerations ends each list with EINVAL."""
+"""The modes of a usual UVC camera; the third entry of linux/videodev2.h's enumerations ends each list with EINVAL."""
 
 
 def webcam(_device: int, number: int, request: bytearray) -> int:

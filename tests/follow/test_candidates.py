@@ -1,6 +1,6 @@
-"""While the target is lost, a detector's boxes are places to look at; who is taken is for tracker and estimate to say.
+"""While the target is lost, a detector's boxes are search positions; tracker and estimate decide which one is accepted.
 
-The referee is the scene: people on flat ground, a detector that sees them all 0.3 s late, and a tracker that finds
+The reference is the scene: people on flat ground, a detector that sees them all 0.3 s late, and a tracker that finds
 whoever is within a box's width of where it looks.
 """
 

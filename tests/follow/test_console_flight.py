@@ -1,4 +1,4 @@
-"""A person at a console while the target is lost, and after: whole simulated flights, their clock not waited for."""
+"""A person at a console while the target is lost, and after: whole simulated flights, faster than real time."""
 
 import math
 from contextlib import contextmanager
@@ -22,7 +22,7 @@ BY = "a test"
 
 
 def flown(scenario, person, seconds, out, monkeypatch):
-    """Fly with a person, a generator that is sent each tick; what the person noted."""
+    """Fly with a person, a generator that gets each tick; returns the person's notes."""
     monkeypatch.setattr(sim_page, "RealTimePace", lambda link: link)
     monkeypatch.setattr(sim_page, "LONG_S", seconds)
     noted, seen = [], SimpleNamespace(box=None)
@@ -54,7 +54,7 @@ def flown(scenario, person, seconds, out, monkeypatch):
 
 
 def until(is_so):
-    """Wait for a tick of which something is so."""
+    """Wait for a tick that meets a condition."""
     while not is_so(tick := (yield)):
         pass
     return tick
@@ -66,14 +66,14 @@ def passed(seconds):
 
 
 def draw(consoles, box, tick):
-    """Draw a box, in pixels, in the image that is shown now; why it is refused."""
+    """Draw a box, in pixels, in the image that is shown now; returns the reason of a refusal."""
     rows, columns = tick.frame.image.shape[:2]
     shares = box.x / columns, box.y / rows, box.w / columns, box.h / rows
     return consoles.choose(Selection(*shares, tick.frame.t_s, BY))
 
 
 def draws_the_walker(consoles, seen):
-    """Draw a box around the walker and order FOLLOW, until it is flown."""
+    """Draw a box around the walker and order FOLLOW, until FOLLOW is granted."""
     yield from passed(1.0)
     tick = yield from until(lambda tick: tick.frame is not None)
     assert draw(consoles, seen.box.scaled(1.1), tick) == ""

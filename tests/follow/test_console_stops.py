@@ -1,4 +1,4 @@
-"""What was asked before a stop, or for another target, does not fly after it."""
+"""An order given before a stop, or for another target, has no effect after it."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ BOX = (0.45, 0.4, 0.55, 0.7)
 
 
 def instructed(desk, order, t_s, mode=Mode.READY):
-    """A round that carried out an order, of whomever."""
+    """A round that executed an order of any console."""
     desk.consoles.see(replace(tick(t_s, mode, desk.has_target), instruction=Instruction(order)))
 
 

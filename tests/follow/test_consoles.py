@@ -1,4 +1,4 @@
-"""Consoles: one commands, STOP works from all, a target that nobody drew just now is confirmed, trims are bounded."""
+"""Consoles: one commands, STOP works from all, an old selection needs CONFIRM, trims are bounded."""
 
 import contextlib
 from dataclasses import replace

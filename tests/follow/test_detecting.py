@@ -1,4 +1,4 @@
-"""A detector beside the loop: the loop never waits for it, what it found is as old as it says, and it may fail."""
+"""A detector beside the loop: the loop never waits for it, its detections have their true age, and it may fail."""
 
 import logging
 import os
@@ -115,7 +115,7 @@ def test_the_process_finds_what_the_detector_finds_and_its_click_gets_the_same_b
 
 
 def failures(caplog):
-    """Without words on slowness: rounds here go faster than their times."""
+    """Drops the warnings about a slow detector: rounds in this test run faster than real time."""
     return [message for message in caplog.messages if message.startswith("the detector failed")]
 
 
@@ -194,7 +194,7 @@ def test_while_a_process_hangs_one_click_waits_and_no_other_is_queued_behind_it(
 
 
 def answered(detector, n, t_s):
-    """Ask about a frame, and take its answer at `t_s`."""
+    """Submit a frame, and collect its detections at `t_s`."""
     detector.update(frame(n), n * ROUND_S)
     detector._asked[0].result(30.0)
     detector.update(None, t_s)

@@ -130,7 +130,7 @@ def test_numbers_that_are_no_box_or_no_score_are_left_out(bad, made):
 
 
 def test_a_whole_image_is_searched_in_tiles_and_each_object_is_returned_once(made):
-    """The network says the same of each square: three boxes in each of two, of which two are nearly the same."""
+    """The network returns the same three boxes for each of two tiles; two of the six nearly coincide."""
     again = Box(61.0, 51.0, 40.0, 60.0), 0.6
     found = made(yolov8([*OBJECTS, again])).find(IMAGE)
     scale = 360 / SIDE
@@ -220,7 +220,7 @@ def test_a_network_that_opencv_cannot_run_is_refused_with_the_alternative(tmp_pa
 
 
 def test_a_network_that_opencv_cannot_run_is_run_by_onnx_runtime(tmp_path, monkeypatch):
-    """Stood for by a module with its interface, for the extra is not installed where tests run."""
+    """A stub module with ONNX Runtime's interface, because the extra is not installed for the tests."""
     asked = []
 
     class Session:

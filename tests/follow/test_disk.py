@@ -1,4 +1,4 @@
-"""A disk that stalls or is full costs what is written, never the caller's time."""
+"""A disk that stalls or is full delays or loses the written data, but never blocks the caller."""
 
 import errno
 import json
@@ -18,7 +18,7 @@ from tests.follow.test_record_flight import tick
 
 
 class StalledFile:
-    """A disk that takes nothing until `answers` is set."""
+    """A disk that blocks until `answers` is set."""
 
     def __init__(self) -> None:
         self.answers = threading.Event()

@@ -37,7 +37,7 @@ from tests.support.gate_rig import DT, LIMITS, engaged, fly, flying, obeyed, see
 
 @given(st.floats(-20, 20), st.floats(-3, 3), st.floats(0.1, 100), st.floats(0, 30), st.floats(2, 30), st.floats(-7, 7))
 def test_approach_stops_at_the_stand_off_of_the_nearest_possible_range(speed, azimuth, away, std, height, toward):
-    """Referee: the relative motion along the sight, braked at half the limit, ends outside the stand-off."""
+    """Reference: the relative motion along the line of sight, braked at half the limit, ends outside the stand-off."""
     north, east = -toward * math.cos(azimuth), -toward * math.sin(azimuth)
     estimate = replace(seen(0.0), azimuth_rad=azimuth, range_m=away, range_std_m=std, north_m_s=north, east_m_s=east)
     target = worst(estimate, flying(0.0, down_m=-height), LIMITS)
@@ -65,7 +65,7 @@ def test_the_required_height_keeps_the_stand_off_at_the_nearest_point(away, abov
 
 @pytest.mark.parametrize("speed", [3.0, 5.0, 7.0])
 def test_a_vehicle_stops_before_the_place_where_its_target_vanished(speed):
-    """A doorway: the target vanishes; 0.25 s until that is noticed, then a vehicle with a lag of 0.6 s."""
+    """A doorway: the target vanishes; the loss is detected after 0.25 s, and the vehicle has a lag of 0.6 s."""
     room = (speed + 2.5) ** 2 / 5.0 - 2.5 / 2  # from which stopping_speed allows this speed
     assert stopping_speed(room, LIMITS.accel_m_s2) == pytest.approx(speed)
     v, north, ramp = speed, -room + 0.25 * speed, VelocityRamp((speed, 0.0))
@@ -107,7 +107,7 @@ def test_a_target_that_comes_nearer_makes_the_gate_retreat_and_climb_against_the
 
 @given(st.floats(0.0, 40.0), st.sampled_from([(SPRINT_M_S, SPRINT_STANDOFF_M), (JOG_M_S, LIMITS.min_standoff_m)]))
 def test_from_the_height_that_a_run_requires_the_stand_off_is_kept(away, run):
-    """Referee: the climb step by step, with the delay, until the runner is below."""
+    """Reference: the climb step by step, with the delay, until the runner is below."""
     speed, least = run
     above = sprint_above_m(away, LIMITS)
     rate, t_s = 0.0, 0.0
@@ -126,7 +126,7 @@ def test_from_the_height_that_a_run_requires_the_stand_off_is_kept(away, run):
     st.sampled_from([(SPRINT_M_S, SPRINT_STANDOFF_M), (JOG_M_S, LIMITS.min_standoff_m)]),
 )
 def test_an_unseen_runner_is_evaded_upward_from_the_height_that_a_run_requires(away, higher, run):
-    """Referee: the climb step by step, noticed after 0.15 s, by a vehicle with a lag of 0.6 s."""
+    """Reference: the climb step by step, begun after 0.15 s, by a vehicle with a lag of 0.6 s."""
     speed, least = run
     above = sprint_above_m(away, LIMITS) + higher
     seen_last = Sighting(away, 0.0, 0.0, 0.0, -1.8, -1.8 - above, -STEADY_S)
@@ -149,7 +149,7 @@ def test_an_unseen_runner_is_evaded_upward_from_the_height_that_a_run_requires(a
 
 @given(st.floats(0.0, 40.0), st.floats(-math.pi, math.pi), st.floats(0.0, 4.0), st.floats(0.0, 6.0), st.floats(-7, 7))
 def test_the_closing_speed_to_an_unseen_walker_is_that_to_a_visible_one(away, sight, unseen_s, above, toward):
-    """Referee: the stand-off towards somebody who was seen there and has walked towards the vehicle since."""
+    """Reference: the stand-off to a visible person who has walked towards the vehicle since the last sighting."""
     state = flying(unseen_s, down_m=-above)
     place = away * math.cos(sight), away * math.sin(sight)
     behind = Worst(sight, 100.0, above, toward)  # the estimate lets him go on
@@ -162,7 +162,7 @@ def test_the_closing_speed_to_an_unseen_walker_is_that_to_a_visible_one(away, si
 
 @pytest.mark.parametrize(("jump_m", "mode_s"), [(0.0, 2.0), (0.0, 8.0), (-5.0, 2.0)])
 def test_a_low_vehicle_whose_target_is_lost_climbs_above_an_approaching_person_and_no_further(jump_m, mode_s):
-    """Also in SEARCH, and when the autopilot's height jumps; as before it does not flee from a guess."""
+    """Also in SEARCH, and when the autopilot's height jumps; no horizontal retreat from a predicted position."""
     safety, t_s = engaged(down_m=-3.0)
     high_m, down, reset, notes = 3.0, -3.0, {}, set()
     for i in range(1, round(mode_s / DT)):
@@ -185,7 +185,7 @@ def test_a_low_vehicle_whose_target_is_lost_climbs_above_an_approaching_person_a
 
 @pytest.mark.parametrize(("shows_s", "hides_s"), [(0.1, 1.0), (0.4, 2.6), (0.6, 6.0), (2.0, 6.0)])
 def test_repeated_short_sightings_at_the_vehicles_own_height_cause_only_a_bounded_climb(shows_s, hides_s):
-    """A box that is fixed in the image, or a far thing: each time that it is lost its head seems to be right here."""
+    """A box that is fixed in the image, or a far object: after each loss its predicted head is at our height."""
     safety, t_s = engaged(down_m=-6.0)
     down, seen_s, head_m, highest = -6.0, t_s, 6.0, 6.0
     for i in range(1, round(60.0 / DT)):
@@ -297,7 +297,7 @@ def test_an_origin_that_moves_before_any_position_is_stored_changes_nothing():
 
 @given(st.floats(-3, 3), st.floats(0, 100), st.floats(0, 30), st.floats(-7, 7), st.floats(-0.5, 0.5), st.floats(0, 6.3))
 def test_a_drift_towards_the_target_is_compensated(azimuth, away, height, toward, drift, course):
-    """The position, which moves by velocity and drift, closes in no faster than without one; it needs the height."""
+    """With a drift, the position (velocity plus drift) closes in no faster than without one."""
     north, east = -toward * math.cos(azimuth), -toward * math.sin(azimuth)
     still = replace(seen(0.0), azimuth_rad=azimuth, range_m=away, north_m_s=north, east_m_s=east)
     drifting = replace(still, drift_north_m_s=drift * math.cos(course), drift_east_m_s=drift * math.sin(course))
@@ -318,7 +318,7 @@ def test_far_above_the_target_only_the_clear_distance_limits_the_closing_speed()
 
 @pytest.mark.parametrize(("speed", "accel", "standoff"), [(8.0, 2.5, 21.0), (15.0, 4.0, 44.0)])
 def test_the_stand_off_that_the_clear_distance_of_a_cyclist_or_car_needs(speed, accel, standoff):
-    """docs/hazards.md names these as the price of the rule that is off for them."""
+    """docs/hazards.md lists these stand-offs as the cost of the rule, which is off for cyclists and cars."""
     limits = replace(LIMITS, accel_m_s2=accel)
     assert (
         closing_speed(Worst(0.0, standoff, 20.0, 0.0), limits)
@@ -349,7 +349,7 @@ def test_an_external_contradiction_brakes_and_then_ends():
 
 
 def outrun(fence_m=300.0, run_m_s=9.0, seconds=120.0):
-    """A gate whose servo wants to fly at the target's speed and more; the (time, mode, reason) of each change."""
+    """A gate whose servo demands the target's speed and more; returns (time, mode, reason) of each change."""
     limits = replace(LIMITS, fence_m=fence_m, clear_distance=0.0)
     safety, t_s = engaged()
     safety.limits = limits

@@ -39,7 +39,7 @@ def typed(pilot: Pilot, command: str) -> None:
     assert (verb, noun) == ("param", "set")
 
     def told() -> dialect.MAVLink_message:
-        """The autopilot's newest word on the parameter."""
+        """The newest value of the parameter that the autopilot reported."""
         until(f"told {name}", lambda: pilot.known["PARAM_VALUE"][1].param_id == name, 5.0)
         return pilot.known["PARAM_VALUE"][1]
 

@@ -1,4 +1,4 @@
-"""What the vehicle's position drifts beside its reported velocity: learnt, kept apart from manoeuvres, flown off."""
+"""The drift of the position against the reported velocity: estimated, separated from manoeuvres and compensated."""
 
 import math
 
@@ -64,7 +64,7 @@ def test_a_gap_in_the_telemetry_keeps_the_drift_and_starts_the_position_again():
 
 
 def test_a_vehicle_that_flies_by_a_wrong_velocity_keeps_stand_off_and_height_as_one_that_knows_its_own():
-    """PX4 wanders by 0.2 m/s level and 0.14 m/s up; ArduPilot does not (docs/vehicle.md)."""
+    """PX4 drifts by 0.2 m/s horizontally and 0.14 m/s vertically; ArduPilot does not (docs/vehicle.md)."""
     px4, ardupilot = (GroundFlight(walk(1.4), autopilot=a, end_s=60.0, seed=None).fly() for a in Autopilot)
     assert px4.standoff_rms() < ardupilot.standoff_rms() + 0.01
     heights = px4.heights()[len(px4.truths) // 3 :]
@@ -72,7 +72,7 @@ def test_a_vehicle_that_flies_by_a_wrong_velocity_keeps_stand_off_and_height_as_
 
 
 def test_a_state_that_is_not_finite_is_ignored():
-    """A link of one's own may pass anything on; one such state must not spoil all that comes after."""
+    """A user's own link may pass any number; one such state must not corrupt all later estimates."""
     drift = Drift()
     for n in range(90):
         t_s = n / RATE_HZ

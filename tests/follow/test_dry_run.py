@@ -1,4 +1,4 @@
-"""A dry run hears the vehicle, pretends FOLLOW, and sends nothing that could move it."""
+"""A dry run receives telemetry, pretends FOLLOW, and sends nothing that could move the vehicle."""
 
 from types import SimpleNamespace
 

@@ -1,4 +1,4 @@
-"""The application's own session against the simulated autopilot, in lockstep: what an operator does when."""
+"""The application's own session against the simulated autopilot, in lockstep: orders at different times."""
 
 import pytest
 
@@ -53,7 +53,7 @@ def test_leaving_before_px4_obeys_does_not_take_the_vehicle(after_s):
 
 
 class Passing(Rig):
-    """The tracker's own target walks off to the side; only another one, at the box of the start, is what is meant."""
+    """The tracked target walks off to the side; the order means the other one, in the box of the start."""
 
     def target_place(self, t_s: float) -> tuple[float, float]:
         return 12.0, 0.0

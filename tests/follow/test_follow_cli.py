@@ -245,7 +245,7 @@ def test_the_settings_flown_with_are_recorded_and_fly_the_same_again(capfd, brie
 
 
 def test_a_recorded_file_flown_with_another_lens_and_delay_pins_nothing_that_follows_from_them(capfd, brief, tmp_path):
-    """What was derived is told but was not chosen: the gate's view cone and delay are those of the new camera."""
+    """Derived settings are recorded but not chosen: the gate's view cone and delay are those of the new camera."""
     first, other = tmp_path / "first/settings.toml", tmp_path / "other/settings.toml"
     words = ("sim", brief, "--record.no-pictures", "--out")
     assert follow(capfd, *words, first.parent)[0] == 0

@@ -1,4 +1,4 @@
-"""`follow run` as a process over UDP: it takes over a hovering vehicle, follows, is taken over, and falls silent.
+"""`follow run` as a process over UDP: it takes over a hovering vehicle, follows, is taken over, and stops sending.
 
 FOLLOW_RUN_S sets how long it follows (12 s; `make faults` flies 60 s and every pair of rules and link).
 """

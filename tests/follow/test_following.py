@@ -1,6 +1,6 @@
 """The loop closed over the scenarios' worlds and vehicles, with a tracker that knows the truth, with some noise.
 
-Nothing is drawn, so that servo, target estimate and gate are judged alone.
+Nothing is drawn: only servo, target estimate and gate are tested.
 """
 
 import math
@@ -140,7 +140,7 @@ def test_a_walker_hidden_for_a_while_is_followed_again(seconds, seen_modes):
 
 
 def test_what_is_sent_ramps_within_the_limits():
-    """The referee is plain differences of what was sent, turned into NED with the heading that the gate knew."""
+    """The reference is plain differences of the setpoints, turned into NED with the heading that the gate used."""
     ticks, _ = flown("runner-start")
     limits = Limits()
     sent = [(t.state.t_s, t.state.yaw_rad, t.decision.setpoint) for t in ticks if t.decision.setpoint]

@@ -1,4 +1,4 @@
-"""Cameras over footage: nothing that is missing or broken loses what is there, and one line sums up what is missing."""
+"""Cameras over footage: a missing or broken frame costs no other frame, and one line counts the missing ones."""
 
 import os
 import shutil
@@ -17,7 +17,7 @@ from tests.support.clips import clip, encode, number_in, numbered
 
 
 def frame(n: int, size=(48, 32)) -> np.ndarray:
-    """A frame that says its number: grey level 4 n (mod 256)."""
+    """A frame that shows its number as grey level 4 n (mod 256)."""
     return np.full((size[1], size[0], 3), 4 * n % 256, np.uint8)
 
 

@@ -1,4 +1,4 @@
-"""The gate where the program, a sensor or a clock is not as it should be."""
+"""The gate when the program, a sensor or a clock misbehaves."""
 
 import math
 from dataclasses import replace
@@ -79,7 +79,7 @@ def test_a_program_that_is_slow_all_the_time_is_noted_and_one_long_round_is_not(
     "where", [{"north_m": 500.0}, {"down_m": -150.0}, {"above_ground_m": 0.5}], ids=["fence", "ceiling", "floor"]
 )
 def test_a_reason_to_stop_ends_following_also_outside_the_limits(cause, where):
-    """No border may keep the vehicle moving, and the stream alive, after the reason to stop."""
+    """Outside a limit the gate moves the vehicle back; this must not keep the stream alive after a reason to stop."""
     safety, t_s = engaged(home_t_s=0.0, rc_healthy=True)
     moved_m = 0.0
     for _ in range(round(10.0 / DT)):
@@ -137,7 +137,7 @@ def test_the_gate_gets_ready_for_any_start_of_the_clock(start_s):
 
 @pytest.mark.parametrize("speed_m_s", [1.4, 2.5, 6.0])
 def test_control_of_a_vehicle_that_stands_despite_its_setpoints_is_given_up(speed_m_s):
-    """The uplink is lost: what comes back must not meet a speed that grew meanwhile."""
+    """The uplink is lost: when it returns, the setpoint must not have wound up meanwhile."""
     safety, t_s = engaged()
     rounds = fly(safety, t_s, 8.0, Setpoint(speed_m_s), north_m_s=0.1, east_m_s=0.0)
     began = next(i for i, d in enumerate(rounds) if d.reason.cause is Cause.NOT_OBEYING)

@@ -1,4 +1,4 @@
-"""The sources of the ground's height: what they may change, and by how much."""
+"""The measurements of the ground's height: their effect on the estimate and its bounds."""
 
 import math
 

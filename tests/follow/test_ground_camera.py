@@ -1,4 +1,4 @@
-"""The ground station's camera: a state machine that behaves as QGroundControl finds it, points, and draws its box."""
+"""The ground station's camera: a model of QGroundControl discovers it, selects, and draws its box."""
 
 import math
 

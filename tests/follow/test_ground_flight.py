@@ -1,4 +1,4 @@
-"""Estimate, servo and gate in closed loop: over ground that is not flat, and before someone who comes near."""
+"""Estimate, servo and gate in closed loop: over ground that is not flat, and with an approaching person."""
 
 import math
 from dataclasses import replace
@@ -45,7 +45,7 @@ def refused_or_kept(flight):
 )
 @pytest.mark.parametrize("above", [-20.0, -8.0, -3.0, 3.0, 8.0, 20.0])
 def test_a_wrong_height_is_corrected_or_refused_and_the_floor_is_kept(above, kind, autopilot):
-    """`above` is how much higher the autopilot believes to be than it is, from the start on or from 8 s on."""
+    """`above` is the error of the autopilot's height, from the start or from 8 s on."""
     from_s, end_s = (8.0, 14.0) if "jump" in kind else (0.0, 24.0)
 
     def wrong(state):

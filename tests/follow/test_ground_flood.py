@@ -1,4 +1,4 @@
-"""A thousand clicks a second: a bounded part is heeded, and nobody's STOP waits behind them."""
+"""A thousand clicks a second: a bounded number is processed, and no STOP is delayed by them."""
 
 import pytest
 from pymavlink.dialects.v20 import common as dialect

@@ -1,4 +1,4 @@
-"""A stranger's datagram at a ground station's listener orders nothing, on either side."""
+"""A datagram of an unknown sender orders nothing, at the ground listener or on the vehicle's link."""
 
 import math
 from functools import partial

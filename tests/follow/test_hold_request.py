@@ -1,4 +1,4 @@
-"""A request for Hold or BRAKE never takes the vehicle from the pilot: it needs news that the vehicle is still ours."""
+"""A request for Hold or BRAKE never takes the vehicle from the pilot: a heartbeat must show our mode."""
 
 import pytest
 from pymavlink.dialects.v20 import common as dialect
@@ -146,7 +146,7 @@ def test_a_request_that_changes_nothing_gives_its_reason(autopilot):
 
 @BOTH
 def test_an_order_taken_back_before_the_mode_was_shown_still_ends_in_hold(autopilot):
-    """PX4 may grant OFFBOARD before it tells so; the vehicle must not stay in it."""
+    """PX4 may enter OFFBOARD before its heartbeat shows it; the vehicle must not stay in it."""
     pair = Pair(autopilot)
     pair.run(2.0)
     control = MODES_OF[autopilot].control
@@ -202,7 +202,7 @@ def test_a_heartbeat_is_requested_because_px4_keeps_its_stream_at_one_hertz():
 
 
 def cut(pair: Pair, seconds: float) -> None:
-    """Neither side hears the other; our stream ends with the data that it needs."""
+    """Neither side receives the other; our stream ends because its telemetry is stale."""
     ways = pair.to_autopilot, pair.to_client
     pair.to_autopilot = pair.to_client = lambda _packets: []
     pair.setpoint = None

@@ -1,4 +1,4 @@
-"""Images that show nothing are named; images that show something, however poor, are not."""
+"""Images without content are reported; images of a scene, however poor, are not."""
 
 import cv2
 import numpy as np

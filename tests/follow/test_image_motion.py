@@ -1,4 +1,4 @@
-"""How the background moves: measured on images whose motion is known, and judged against what it must be."""
+"""Background motion: measured on images of known motion, and compared with the prediction."""
 
 import math
 from dataclasses import replace
@@ -209,7 +209,7 @@ def test_a_shadow_moves_with_its_target_and_the_ground_beside_it_does_not(ratio,
 
 @pytest.mark.parametrize("again_s", [2.0, 9.0])
 def test_no_height_is_measured_over_a_gap_in_the_telemetry(again_s):
-    """Positions stay away from 1 s on, and the vehicle goes on: what it flew would be taken for a low flight."""
+    """Positions are missing from 1 s on while the vehicle flies on: its unknown motion would look like a low height."""
 
     def heard(s):
         old = state(1.0, **flying(1.0))

@@ -1,4 +1,4 @@
-"""Nothing that waited for long is delivered by TCP or a serial line, and nothing is written into a foreign file."""
+"""TCP and serial lines deliver no stale packets, and nothing is written to a reused file descriptor."""
 
 import contextlib
 import os
@@ -74,7 +74,7 @@ def test_a_peer_that_stopped_reading_never_gets_stale_packets(monkeypatch):
 
 
 def test_a_silent_peer_gets_our_heartbeat_only_until_it_speaks(monkeypatch):
-    """What its own system has accepted for it cannot be called back."""
+    """Bytes that the peer's own system has accepted cannot be recalled."""
     monkeypatch.setattr(wire, "SILENT_S", 0.05)
     with connected() as (server, way):
         vehicle, _ = server.accept()

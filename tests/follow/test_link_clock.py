@@ -1,4 +1,4 @@
-"""How old telemetry counts: late telemetry is never fresh, and only a reply to our own request sets the clock."""
+"""The age of telemetry: late telemetry is never fresh, and only a reply to our own request sets the clock."""
 
 from collections import deque
 

@@ -31,9 +31,9 @@ from tests.support.machine import against_the_clock
 
 @dataclass
 class Rig:
-    """A link under test.  `pass_time` lets the vehicle live; `mode` is its true mode, asked behind the link's back.
+    """A link under test.  `pass_time` lets the vehicle fly; `mode` is its true mode, read without the link.
 
-    `in_time` excuses, as late, what fails where the link's time is the machine's.
+    `in_time` turns failures into LateError where the link runs in real time.
     """
 
     link: Link
@@ -256,7 +256,7 @@ def ends_of(link) -> Iterator[tuple[End, End]]:
 
 
 def until_sent(link, vehicle: End) -> None:
-    """The vehicle speaks until it is spoken to; what it then hears is taken away."""
+    """The vehicle sends until it receives a packet; that packet is discarded."""
     for _ in range(500):
         vehicle.say(1, dialect.MAV_TYPE_QUADROTOR)
         link.state()

@@ -1,4 +1,4 @@
-"""Whoever floods the vehicle's port cannot hold up the loop, nor silence the vehicle, nor fill the memory."""
+"""A flood at the vehicle's port can neither block the loop, nor displace the vehicle's packets, nor fill the memory."""
 
 from collections import Counter
 

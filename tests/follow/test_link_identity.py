@@ -1,4 +1,4 @@
-"""Who is on the line: one address speaks for the vehicle, and a second sender of its id is noticed."""
+"""Identity on the link: one address is the vehicle's, and a second sender of its id is detected."""
 
 import os
 import pty

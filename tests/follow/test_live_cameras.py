@@ -1,4 +1,4 @@
-"""Live cameras: newest frame only, honest ages, reported breaks.  The referee is the number in each frame."""
+"""Live cameras: newest frame only, true ages, reported breaks.  The reference is the number in each frame."""
 
 import itertools
 import os
@@ -31,7 +31,7 @@ PROGRAM = f"{sys.executable} -m tests.support.camera_program"
 
 
 def watched(camera: LiveVideo, enough: Callable[[], bool], seconds: float = 20.0) -> list[Frame | None]:
-    """The rounds of a live camera until it was enough."""
+    """The rounds of a live camera until a condition is met."""
     rounds: list[Frame | None] = []
     end = time.monotonic() + seconds
     for frame in camera.frames():

@@ -1,4 +1,4 @@
-"""The loop over pieces that only remember what they were asked."""
+"""The loop over stubs that record their calls."""
 
 from dataclasses import dataclass, field
 

@@ -1,4 +1,4 @@
-"""The ways that bytes go: whole over UDP, in any pieces over TCP and serial lines, and back again after a drop."""
+"""Transports: whole packets over UDP, pieces over TCP and serial lines, and reconnection after a drop."""
 
 import contextlib
 import os

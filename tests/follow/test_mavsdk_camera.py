@@ -1,4 +1,4 @@
-"""MAVSDK's Camera client finds our camera, points, is told the state and stops: directly, and behind an autopilot."""
+"""MAVSDK's Camera client finds our camera, selects, reads the status and stops: directly and through an autopilot."""
 
 import contextlib
 import threading

@@ -1,4 +1,4 @@
-"""Changes of mode as lines for a person, and the line about a flight that ended early."""
+"""Changes of mode as lines for the operator, and the line about a flight that ended early."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""The transition table: laws that a reviewer can check without the gate."""
+"""The transition table: properties that a reviewer can check without the gate."""
 
 import pytest
 

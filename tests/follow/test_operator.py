@@ -1,4 +1,4 @@
-"""Who may order FOLLOW, and what takes it back."""
+"""Who may order FOLLOW, and what cancels it."""
 
 import errno
 import pty

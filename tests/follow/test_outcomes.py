@@ -1,4 +1,4 @@
-"""What a program says at its end: whether FOLLOW began, by its exit status, and whether the flight was safe."""
+"""The end of a program: its exit status tells whether FOLLOW began, and a verdict whether the flight was safe."""
 
 import sys
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""The page: one window commands, the others watch, STOP works from all, nothing done in a window can harm a flight."""
+"""The page: one window commands, the others watch, STOP works from all, no act in a window can harm a flight."""
 
 import json
 import os

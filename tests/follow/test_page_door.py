@@ -1,4 +1,4 @@
-"""The page's door: token, Origin, Host; recordings that no word of a request leads out of."""
+"""Access to the page: token, Origin, Host; no request path leads out of the recordings."""
 
 import ipaddress
 import json

@@ -1,4 +1,4 @@
-"""`follow sim --page`: the simulated pilot brings the vehicle to the target, FOLLOW flies, STOP gives it back."""
+"""`follow sim --page`: the simulated pilot brings the vehicle to the target, FOLLOW flies, STOP releases it."""
 
 import json
 import math

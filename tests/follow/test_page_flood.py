@@ -1,4 +1,4 @@
-"""A window that sends far more than the page does is cut off with the reason; nobody else notices."""
+"""A window that sends far more than the page does is disconnected with a reason, without effect on others."""
 
 import json
 
@@ -27,7 +27,7 @@ def sent(opcode: Opcode, data: bytes = b"", fin: bool = True) -> bytes:
 
 
 def filled(frame: bytes) -> bytes:
-    """As many of a frame as no window may send at once."""
+    """More frames than a window may send at once."""
     return frame * (2 * BYTES_AT_ONCE // len(frame))
 
 

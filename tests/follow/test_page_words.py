@@ -1,4 +1,4 @@
-"""What a person at the page reads: the state says what is so now, and the line below it what to do."""
+"""The texts of the page: the state describes the present, and the line below it tells what to do."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""A tap selects nothing in the sky and nothing too far to be followed, by the attitude and the height at its frame."""
+"""A tap selects nothing in the sky or too far to be followed, computed from attitude and height at its frame."""
 
 import math
 from concurrent.futures import Future

@@ -1,4 +1,4 @@
-"""The recorder: complete rows, a bounded queue of images, and a flight that goes on whatever the disk does."""
+"""The recorder: complete rows, a bounded queue of images, and a flight that no disk error interrupts."""
 
 import csv
 import json

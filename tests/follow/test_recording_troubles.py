@@ -1,4 +1,4 @@
-"""Whole programs beside a viewer that hangs or is gone: each flies on, and ends."""
+"""Whole programs with a viewer that hangs or is gone: each flies on, and ends."""
 
 import socket
 import subprocess

@@ -1,7 +1,7 @@
-"""After a loss only somebody who stands where the target can be is taken for it, and the target itself is found again.
+"""After a loss only a person where the target can be is accepted, and the target itself is found again.
 
-The law is geometry, without the filter: a target that goes at v is, after t seconds, somewhere between where it was
-seen last and v t ahead.  Who stands at least 6 m and one standard deviation of its distance from the camera (a box
+The reference is geometry, without the filter: a target that goes at v is, after t seconds, somewhere between where it
+was seen last and v t ahead.  Who stands at least 6 m and one standard deviation of its distance from the camera (a box
 tells the range to about 12 %) beside all of that is somebody else; so is who stood that far ahead of it when first
 seen.  6 m is the radius of the area in which one other person who looks alike is to be expected in one of ten losses,
 `regain_area_m2`.  The settings were chosen with the CHOSEN cases; the others were only looked at afterwards.
@@ -87,7 +87,7 @@ def test_a_person_where_the_target_could_not_have_gone_is_accepted_neither_then_
 @pytest.mark.parametrize("speed", [0.0, 1.4, 3.0])
 @pytest.mark.parametrize("kept", [0.0, 0.5, 1.0])
 def test_the_target_is_found_again_anywhere_along_its_path(lost_s, speed, kept):
-    """It kept a part of its speed."""
+    """The target kept a part of its speed."""
     watcher = Watcher(speed)
     taken_s = watcher.finds(lambda t: (kept * speed * t, 0.0), lost_s, 2.0)
     assert taken_s is not None

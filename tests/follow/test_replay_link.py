@@ -1,4 +1,4 @@
-"""The pretended vehicle and the virtual camera: they answer as an autopilot's would, and refuse what one refuses."""
+"""The replayed vehicle and the virtual camera: they respond, and refuse setpoints, as a real autopilot does."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""A target that a person chooses in flight: it is looked for as long as a lost one, and nothing is flown blindly."""
+"""A target chosen in flight: the search for it lasts as long as for a lost one, and nothing is flown blindly."""
 
 import math
 from dataclasses import replace
@@ -65,7 +65,7 @@ def test_the_vehicle_does_not_retreat_from_a_target_of_unknown_position(lost_s, 
 @pytest.mark.parametrize("range_m", [2.0, 3.0])
 @pytest.mark.parametrize("lost_s", [1.0, 6.0])
 def test_the_stand_off_to_somebody_found_while_the_target_is_lost_is_kept(range_m, lost_s):
-    """He stands before the vehicle, in COAST and in SEARCH; the lost target is expected far away."""
+    """The other person stands in front of the vehicle, in COAST and in SEARCH; the target is predicted far away."""
     safety, t_s = engaged()
     for i in range(1, round((lost_s + 1.5) / DT)):
         now = t_s + i * DT

@@ -1,4 +1,4 @@
-"""Servers that answer by RTSP what they should not: an error in one line, within the time that an answer may take."""
+"""RTSP servers with invalid replies: an error in one line, within the time limit of a reply."""
 
 import pytest
 

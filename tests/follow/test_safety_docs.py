@@ -1,4 +1,4 @@
-"""The pages made from the gate's code say what the code says."""
+"""The pages generated from the gate's code agree with the code."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""A drawn scene's own settings are told in a recorded file but are not chosen: a real camera and target have others."""
+"""A drawn scene's settings are recorded as comments and not as choices: a real camera and target have others."""
 
 import dataclasses
 import re

@@ -1,4 +1,4 @@
-"""Selecting in flight: a box that was drawn late is on the target, and what nobody could mean is refused in words."""
+"""Selecting in flight: a late box is moved onto the target, and an impossible selection is refused with a reason."""
 
 from concurrent.futures import Future
 from functools import partial
@@ -144,7 +144,7 @@ def test_an_impossible_selection_is_refused_with_a_reason(selection, why):
 
 
 class Later:
-    """An executor whose work begins and is done when it is told."""
+    """An executor whose work begins and ends on command."""
 
     def __init__(self):
         self.waiting, self.begun = [], []

@@ -1,4 +1,4 @@
-"""What is installed beside the program agrees with it."""
+"""The installed service files agree with the program."""
 
 import configparser
 import re

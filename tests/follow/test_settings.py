@@ -153,7 +153,7 @@ def run_command(*words: str) -> RunCommand:
 
 
 def test_the_command_line_overrides_the_file(tmp_path):
-    """A floor that no file could have beside the default ceiling is right beside the file's."""
+    """A floor above the default ceiling is valid with the ceiling of the same file."""
     path = file_of(tmp_path, "[limits]\nspeed_m_s = 3.0\nfloor_m = 150.0\nceiling_m = 200.0\n")
     for option in (["--settings", str(path)], [f"--settings={path}"]):
         command = run_command(*option, "--limits.floor-m", "120")

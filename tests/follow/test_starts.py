@@ -1,4 +1,4 @@
-"""What the start of a flight refuses before anything is moved, keeps of the last one, and says when it is stopped."""
+"""The start of a flight: refusals before anything is moved, the previous recording, and Ctrl-C."""
 
 import inspect
 import json

@@ -1,4 +1,4 @@
-"""Sources without time stamps: no frame passes as fresher than it is.  The referee is a way of known waits."""
+"""Sources without time stamps: no frame is dated too new.  The reference is a queue of known delays."""
 
 import itertools
 
@@ -22,7 +22,7 @@ LEARNED_S = SETTLE_S + LEARN_S
 
 
 def exposed(seconds: float, fps: float = FPS) -> np.ndarray:
-    """When a steady camera takes its frames, s."""
+    """The times at which a steady camera takes its frames, s."""
     return np.arange(0.0, seconds, 1 / fps)
 
 
@@ -36,7 +36,7 @@ def queued(taken_s: np.ndarray, fps: float, began_s: float = 0.0, stall_s: float
 
 
 def clocked(arrivals_s: np.ndarray) -> tuple[np.ndarray, float | None]:
-    """The time that each frame is given (NaN: none), and when the clock gave the stream up."""
+    """The time that the clock gives each frame (NaN: none), and when it gave the stream up."""
     clock, times = SteadyArrivals(), []
     for t_s in arrivals_s:
         try:
@@ -53,7 +53,7 @@ def understated_s(taken_s: np.ndarray, times_s: np.ndarray) -> np.ndarray:
 
 
 def ages_s(arrivals_s: np.ndarray, times_s: np.ndarray) -> np.ndarray:
-    """The ages that are told of the frames that are given."""
+    """The reported ages of the delivered frames."""
     return (arrivals_s[: len(times_s)] - times_s)[np.isfinite(times_s)]
 
 
@@ -129,7 +129,7 @@ def test_a_slower_rhythm_is_learned_by_a_new_connection_and_a_faster_one_is_at_o
 
 
 def test_a_backlog_after_the_rate_increased_is_dated_at_the_new_rate():
-    """At the old period, twice as long, each frame of the backlog would pay back more than it caught up."""
+    """At the old period, twice as long, each frame would reduce the backlog's age by more than it really drained."""
     taken = np.append(exposed(20.0, 15.0), 20.0 + exposed(60.0, 30.0))
     arrivals = queued(taken, 33.0, 40.0, 1.0)
     times, gave_up_s = clocked(arrivals)

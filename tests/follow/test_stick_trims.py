@@ -1,4 +1,4 @@
-"""Sticks that trim by option: the first 30 % of their travel reshapes the flight, more takes it over."""
+"""Sticks that trim by option: the first 30 % of their travel trims the flight, more is a takeover."""
 
 from dataclasses import replace
 from types import SimpleNamespace

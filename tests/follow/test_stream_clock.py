@@ -1,4 +1,4 @@
-"""When a stream's frames were taken: what the way held up is known, whatever the stamps count from."""
+"""When a stream's frames were taken: network delay is removed for any origin of the time stamps."""
 
 import itertools
 
@@ -16,7 +16,7 @@ def taken(stamps_s, arrivals_s) -> list[float | None]:
 
 
 def never_overtaking(arrivals_s: np.ndarray) -> np.ndarray:
-    """One way carries them all: none arrives before the one sent before it."""
+    """One connection carries all frames: none overtakes an earlier one."""
     return np.maximum.accumulate(arrivals_s)
 
 

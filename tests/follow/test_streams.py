@@ -1,4 +1,4 @@
-"""Streams over loopback from real encoders: rate, honest times, breaks.  The referee is the number in each frame."""
+"""Streams over loopback from real encoders: rate, true times, breaks.  The reference is the number in each frame."""
 
 import time
 from pathlib import Path

@@ -25,7 +25,7 @@ def hovering(t_s, **changes):
 
 
 def box_of(place, state, size=SIZE):
-    """What a perfect tracker says of a billboard of that size that stands at `place` (north, east) on flat ground."""
+    """The box of a perfect tracker on a billboard of that size at `place` (north, east) on flat ground."""
     rotation = camera_to_ned(DOWN, state.roll_rad, state.pitch_rad, state.yaw_rad)
     centre = np.array([[place[0], place[1], -size / 2]])
     pixels, depth = project(CAMERA, rotation, (state.north_m, state.east_m, state.down_m), centre)
@@ -333,7 +333,7 @@ def test_footage_may_show_a_target_of_any_size(size, place):
 
 
 def test_a_lost_target_is_searched_along_its_path_and_each_candidate_until_it_is_judged():
-    """The attitude of a frame comes one frame late, so that a box is judged after the next look was chosen."""
+    """The attitude of a frame comes one frame late, so that a box is judged after the next search was chosen."""
     target = Target(CAMERA, DOWN)
     watch(target, lambda t: (12.0, 0.0), [hovering(i * DT) for i in range(60)])
     aside = box_of((12.0, 3.0), hovering(0.0))  # 3 m beside where it was seen last

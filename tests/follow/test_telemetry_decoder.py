@@ -1,4 +1,4 @@
-"""What single messages of the vehicle are decoded to."""
+"""Decoding of single messages of the vehicle."""
 
 import pytest
 from pymavlink.dialects.v20 import common as dialect

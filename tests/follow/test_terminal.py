@@ -1,4 +1,4 @@
-"""A terminal that takes nothing stops nobody: reports return, and what is shown later is in order and complete."""
+"""A stopped terminal does not block the program: reports return, and the later output is in order and complete."""
 
 import contextlib
 import os
@@ -67,7 +67,7 @@ def read_until(descriptor: int, last: str) -> list[str]:
 
 
 def resume(theirs: int) -> None:
-    """What Ctrl-Q does."""
+    """Resume the output, as Ctrl-Q does."""
     if os.isatty(theirs):
         termios.tcflow(theirs, termios.TCOON)
 

@@ -1,4 +1,4 @@
-"""What the pilot reads at the ground station, and what the operator is told of the autopilot's own words."""
+"""The texts for the pilot at the ground station, and the autopilot's own texts for the operator."""
 
 import itertools
 import math

@@ -1,6 +1,6 @@
-"""A target that turns: its velocity is followed while it is seen, and it is looked for where the turn leads.
+"""A target that turns: its velocity is estimated while it is visible, and the search follows the turn.
 
-The referee is the course itself, drawn by its rate: the filter, the bend and the search are not asked.
+The reference is the course itself, computed from its turn rate without the filter, the prediction and the search.
 """
 
 import cmath
@@ -91,7 +91,7 @@ def looked_near(target, places, unseen_s):
 
 @pytest.mark.parametrize("unseen_s", [1.0, 2.0, 3.0])
 def test_a_target_lost_in_a_turn_is_searched_along_the_turn(unseen_s):
-    """The search goes to two standard deviations: of 36 courses at most two may lead beyond."""
+    """The search covers two standard deviations: of 36 courses at most two may lead beyond."""
     found, found_straight = [], []
     for speed, rate, side, seed in cases:
         places = course(speed, rate, side, on_s=unseen_s)

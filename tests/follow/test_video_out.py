@@ -1,4 +1,4 @@
-"""Video to the ground: what arrives is what the camera saw, in time, whatever gets lost on the way."""
+"""Video to the ground station: images arrive complete and in time, despite packet loss."""
 
 import contextlib
 import itertools

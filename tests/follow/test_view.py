@@ -1,4 +1,4 @@
-"""A viewer that shows the flight while it flies costs nothing but its own frames."""
+"""A live viewer costs the flight nothing; a slow one only loses its own frames."""
 
 import threading
 from urllib.parse import parse_qs, urlsplit

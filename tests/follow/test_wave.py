@@ -1,4 +1,4 @@
-"""`follow doctor --wave`: mount, lens and delay of a camera that is turned in the hands, against what was drawn."""
+"""`follow doctor --wave`: mount, lens and delay of a camera that is turned by hand, against the drawn values."""
 
 import math
 import re
@@ -45,7 +45,7 @@ SETTINGS = Believed(down_deg=30.0, fov_deg=70.0, delay_s=0.1)
 
 @pytest.mark.parametrize("case", HARD, ids=lambda case: case.name)
 def test_waving_measures_mount_lens_and_delay_whatever_the_settings(case):
-    """Believed are 80 degrees and no delay; the search knows nothing of the mount."""
+    """The settings are 80 degrees and no delay; the search does not use the mount."""
     found = measured(case, SECONDS)
     assert found.down_deg.value == pytest.approx(case.down_deg, abs=1.0)
     assert abs(math.remainder(found.roll_deg.value - (180.0 if case.upside_down else 0.0), 360.0)) < 1.0

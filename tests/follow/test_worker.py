@@ -49,7 +49,7 @@ class Slow:
 
 
 def test_a_long_wait_at_the_end_is_reported_while_it_lasts(monkeypatch):
-    """A pilot who left must know that it waits for the disk, not for the vehicle; and the line waits for no lane."""
+    """The operator must learn that the program waits for the disk, not for the vehicle; the line is not queued."""
     monkeypatch.setattr(workers, "QUIET_S", 0.05)
     told, said = threading.Event(), []
 

@@ -1,4 +1,4 @@
-"""`racf track` and `racf eval` from the outside: what they print, what they leave, how they end."""
+"""`racf track` and `racf eval` as commands: output, files and exit status."""
 
 import json
 import re

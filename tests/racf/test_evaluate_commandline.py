@@ -1,4 +1,4 @@
-"""One line for each error, and the exit status that says whose mistake it was."""
+"""One line for each error, with an exit status that separates wrong use from failures."""
 
 import contextlib
 import os

@@ -1,4 +1,4 @@
-"""The metrics against a slow literal referee, and laws that need none."""
+"""The metrics against a slow literal implementation, and properties that need none."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""The same boxes however many run at once, in whatever order, after whatever interruption."""
+"""The same boxes for any number of processes, any order and any interruption."""
 
 import importlib.util
 from dataclasses import dataclass

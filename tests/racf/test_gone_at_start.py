@@ -1,4 +1,4 @@
-"""A target that is gone before it was seen again is not found, however much there is to see in its place."""
+"""A target that vanishes right after the first frame is not found in the background."""
 
 import cv2
 import numpy as np

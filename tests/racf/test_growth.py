@@ -1,4 +1,4 @@
-"""The size by optical flow: what it must tell of rendered targets whose size is known, and when it must say nothing."""
+"""The size by optical flow: its accuracy on rendered targets of known size, and when it must give no result."""
 
 import dataclasses
 import itertools

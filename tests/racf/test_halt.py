@@ -1,4 +1,4 @@
-"""A target that halts in doubt: when it must be taken to go on, where, and when not."""
+"""A target whose box halts at low confidence: when and where its motion is extrapolated, and when not."""
 
 import cv2
 import numpy as np

@@ -1,4 +1,4 @@
-"""A tracker that always answers 0.9 is believed only where our filter sees the target too."""
+"""A tracker that always reports 0.9 is trusted only where our filter sees the target as well."""
 
 import dataclasses
 
@@ -67,7 +67,7 @@ def test_a_box_that_stays_behind_while_the_target_walks_on_is_taken_back_to_it()
 
 @pytest.mark.parametrize("speed", [0.5, 1, 2, 4])
 def test_a_box_that_slides_onto_the_neighbour_does_not_take_ours_along(speed):
-    """Both look alike and stand side by side: what is learned where the box is would be the neighbour in the end."""
+    """Both look alike and stand side by side: learning at the box would slowly learn the neighbour."""
     crowd, last = image(100, 100), 40
     crowd[100 : 100 + SIDE, 100 + last : 100 + last + SIDE] = np.roll(TARGET, (3, 5), (0, 1))
     sliding = AlwaysSure([Box(100 + min(speed * k, last), 100, SIDE, SIDE) for k in range(1, 161)])

@@ -1,4 +1,4 @@
-"""Compiling is announced: a first start that seems to hang would be killed."""
+"""Compiling is announced: otherwise a user would take a slow first start for a hang and kill it."""
 
 import os
 import shutil

@@ -1,4 +1,4 @@
-"""Confidence, occlusion, re-detection, priors: what the follower relies on, on rendered images."""
+"""Confidence, occlusion, re-detection and priors, on which the application relies, on rendered images."""
 
 import dataclasses
 from copy import copy, deepcopy

@@ -1,4 +1,4 @@
-"""The two-fold study: nothing is judged on a sequence that chose it, and every start begins on a target."""
+"""The two-fold study: no choice is evaluated on a sequence that it was made by, and every start begins on a target."""
 
 import importlib.util
 import runpy

@@ -1,4 +1,4 @@
-"""The occlusions that the study makes: the piece touches, hides and leaves when it says, and ends are told apart."""
+"""The study's synthetic occlusions: the piece touches, hides and leaves at its frames; outcomes are told apart."""
 
 import dataclasses
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""The reliability diagram: every frame is in one bin, and a confidence that means what it says lies on the diagonal."""
+"""The reliability diagram: every frame is in one bin, and a calibrated confidence lies on the diagonal."""
 
 import numpy as np
 import pytest

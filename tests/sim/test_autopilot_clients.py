@@ -1,4 +1,4 @@
-"""Clients that are not ours fly the simulated autopilot over UDP: MAVSDK 4.1, and pymavlink's own connection."""
+"""Third-party clients fly the simulated autopilot over UDP: MAVSDK 4.1, and pymavlink's own connection."""
 
 import math
 import os

@@ -1,4 +1,4 @@
-"""The simulated autopilot keeps the rules that were measured on PX4 1.16 and ArduCopter 4.7, one by one."""
+"""The simulated autopilot follows each rule that was measured on PX4 1.16 and ArduCopter 4.7."""
 
 import math
 

@@ -32,7 +32,7 @@ CAMERA = Intrinsics.from_fov(640, 360, 1.4)
 
 
 def rows(boxes, tracked=None, sent=HOVER, others=None, visible=None, dt=0.1, near=9.0) -> list[ScoredTick]:
-    """A flight told by its true boxes; the tracker is right unless told otherwise."""
+    """A flight built from its true boxes; the tracker's boxes equal them unless given."""
     out = []
     for k, box in enumerate(boxes):
         vehicle = VehicleTruth(t_s=k * dt, down_m=-6.0)

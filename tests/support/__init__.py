@@ -1,1 +1,1 @@
-"""Rigs and referees that several tests share."""
+"""Rigs and reference models that several tests share."""

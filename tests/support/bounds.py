@@ -1,4 +1,4 @@
-"""The bounds of the fault matrix, derived: from when a fault is noticed, the gate's limits and the vehicle's response.
+"""The bounds of the fault matrix, derived: from the time of detection, the gate's limits and the vehicle's response.
 
 A vehicle at speed v is told to stop `noticed_s` after the fault.  The gate's ramp needs v/a + a/j and covers
 v²/2a + v a/2j; a vehicle that lags by a time constant L covers v L more and then still has the speed a L, which falls
@@ -25,7 +25,7 @@ ROUND_S = 0.1  # two rounds of the loop and the way of a packet
 
 @dataclass(frozen=True)
 class Stop:
-    """Within what time and distance the vehicle stands, counted from the fault."""
+    """Time and distance within which the vehicle stands, counted from the fault."""
 
     within_s: float
     within_m: float

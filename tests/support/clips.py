@@ -1,4 +1,4 @@
-"""Clips for tests, written by PyAV: every frame shows its number, so that the referee is in the image itself."""
+"""Clips for tests, written by PyAV: every frame shows its number, so that the reference is in the image itself."""
 
 from collections.abc import Iterable, Sequence
 from fractions import Fraction

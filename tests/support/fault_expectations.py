@@ -90,7 +90,7 @@ def hovers(bound: Stop) -> Expectation:
 
 
 def stands_still(within_m: float) -> Expectation:
-    """It hovers when the fault comes: it stays there, or its first movement gives the fault away."""
+    """It hovers when the fault comes: it stays there, or its first movement reveals the fault."""
 
     def judge(o: Outcome, autopilot: Autopilot) -> list[str]:
         return [] if o.stop_m <= within_m else [f"flew {o.stop_m:.1f} m on"]
@@ -113,7 +113,7 @@ def goes_on(off_m: float) -> Expectation:
 
 
 def falls_silent(within_s: float, modes: tuple[str, ...] = (), asked: int = 0) -> Expectation:
-    """Somebody else has the vehicle: no more setpoints, and of mode requests only the `asked` ones for our own mode."""
+    """Control was lost: no more setpoints, and of mode requests only the `asked` ones for our own mode."""
 
     def judge(o: Outcome, autopilot: Autopilot) -> list[str]:
         wrong = [] if o.silent_s <= within_s else [f"sent until {o.silent_s:.2f} s"]

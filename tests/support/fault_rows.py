@@ -152,7 +152,7 @@ def tracker_raises(rig: Rig) -> None:
 
 
 def forged(value: float) -> Callable[[Rig], None]:
-    """A box that no honest constructor would make."""
+    """A box with numbers that the constructor refuses."""
 
     def inject(rig: Rig) -> None:
         def track(true: Track) -> Track:

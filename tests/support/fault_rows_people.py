@@ -47,7 +47,7 @@ def order_in(mode: str) -> Callable[[Rig], None]:
 
 
 def ordering(rig: Rig) -> Way:
-    """A way that passes everything on and orders FOLLOW once a second."""
+    """A connection that forwards everything and orders FOLLOW once a second."""
     given: list[float] = []
 
     def way(packets: list[bytes]) -> list[bytes]:
@@ -195,7 +195,7 @@ def ground_stations_stick(pushed_after_s: float) -> Callable[[Rig], None]:
 
 
 def spoken(make: Callable[[Rig], dialect.MAVLink_message]) -> Callable[[Rig], Way]:
-    """A way that adds a message of the vehicle's autopilot to each batch."""
+    """A connection that adds a message of the vehicle's autopilot to each batch."""
 
     def way(rig: Rig) -> Way:
         mav = dialect.MAVLink(None, srcSystem=1, srcComponent=1)

@@ -49,7 +49,7 @@ def count_a_reset(rig: Rig) -> None:
 
 
 def creep(speed_m_s: float, seconds: float) -> Callable[[Rig], None]:
-    """The position moves north by itself, of which the velocity says nothing; then it returns at once."""
+    """The position drifts north, which the velocity does not show; then it returns at once."""
     steps = round(10 * seconds)
     ticks = [(0.1 * n, reset(0.1 * speed_m_s, 0.0, 0.0)) for n in range(steps)]
     return in_turn(*ticks, (seconds, reset(-0.1 * steps * speed_m_s, 0.0, 0.0)))
