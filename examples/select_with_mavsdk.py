@@ -42,7 +42,7 @@ def find(mavsdk: Mavsdk, told: SimpleQueue[Any]) -> tuple[Camera, int]:
 
 
 def show(told: SimpleQueue[Any], seconds: float) -> int:
-    """Print what the camera tells for some seconds; returns in how many statuses a box was tracked."""
+    """Print the camera's messages for some seconds; returns in how many statuses a box was tracked."""
     tracked, end_s = 0, time.monotonic() + seconds
     while (left_s := end_s - time.monotonic()) > 0:
         try:

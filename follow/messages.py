@@ -137,7 +137,7 @@ class VehicleState:
 
 @dataclass(frozen=True, slots=True)
 class Setpoint:
-    """Body-frame velocity command, FRD axes (levelled: heading only); before the gate: what the servo desires."""
+    """Body-frame velocity command, FRD axes (levelled: heading only): the servo's output, or the gate's."""
 
     forward_m_s: float = 0.0
     right_m_s: float = 0.0
@@ -160,7 +160,7 @@ HOVER = Setpoint()
 
 @dataclass(frozen=True, slots=True)
 class OtherSighting:
-    """Somebody who was found after a loss and is not, or not yet, taken for the target.
+    """A person found after a loss who is not, or not yet, accepted as the target.
 
     `azimuth_rad` is clockwise from the vehicle's heading, `range_m` along the ground, two standard deviations nearer
     than measured; `below_m` is how far its middle lies below the vehicle.
@@ -173,7 +173,7 @@ class OtherSighting:
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """Where the target is believed to be at `t_s`, seen from the vehicle.
+    """The estimated position of the target at `t_s`, relative to the vehicle.
 
     `azimuth_rad` is measured clockwise from the vehicle's heading, `depression_rad` downward from the horizon; both
     are free of the vehicle's roll and pitch.  `range_m` is the distance along the ground with its standard deviation;

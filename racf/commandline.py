@@ -95,7 +95,7 @@ def parse(
 ) -> object:
     """The command in `argv`; raises UsageError if it cannot be parsed, SystemExit(0) after `--help` or `--version`."""
     if list(sys.argv[1:] if argv is None else argv) == ["--version"]:
-        print(f"{prog} {version('follow-me')}")  # noqa: T201 - it is what was asked for
+        print(f"{prog} {version('follow-me')}")  # noqa: T201 - the requested output
         raise SystemExit(0)
     complaint = io.StringIO()
     try:
@@ -109,17 +109,17 @@ def parse(
 
 def one_line(framed: str) -> str:
     """The sentence in the frame that tyro draws around an error: option, rule, value, and the nearest known option."""
-    said: list[str] = []
+    sentence: list[str] = []
     lines = framed.splitlines()
     if len(lines) > 1 and set(lines[1].strip()) == {"-"}:  # without box characters: a title over a rule
         lines = lines[2:]
     for line in lines:
         if "╭" in line:  # ╭: the frame's top edge, which carries the title
             continue
-        if "├" in line or (not _FRAME.sub("", line).strip() and said):  # a rule: what follows is the footer
+        if "├" in line or (not _FRAME.sub("", line).strip() and sentence):  # a rule: what follows is the footer
             break
-        said.append(_FRAME.sub(" ", line).strip())
-    text = " ".join(" ".join(said).split())
+        sentence.append(_FRAME.sub(" ", line).strip())
+    text = " ".join(" ".join(sentence).split())
     if found := _VALUE.match(text):
         return f"{found[1]} must be a {'' if found[2] else 'whole '}number, not {found[3]}"
     if found := _OPTION.match(text):

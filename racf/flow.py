@@ -117,9 +117,9 @@ class Flow:
             return points, points, points[:, 0]
         there, seen = _followed(self._patch, self._next, points)
         back, seen_back = _followed(self._next, self._patch, there)
-        apart = np.linalg.norm(back - points, axis=1)
-        good = seen & seen_back & (apart < BACK_PX)
-        return points[good], there[good], apart[good]
+        error_px = np.linalg.norm(back - points, axis=1)
+        good = seen & seen_back & (error_px < BACK_PX)
+        return points[good], there[good], error_px[good]
 
 
 def _window(patch: UInt8) -> tuple[int, int]:

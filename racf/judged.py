@@ -102,7 +102,7 @@ class JudgedBoxes(Racf):
         try:
             track = self.tracker.update(image)
             box, has_found = cast("object", track.box), track.found
-        except Exception as error:  # noqa: BLE001 - whatever a tracker raises: a flight goes on
+        except Exception as error:  # noqa: BLE001 - no exception of a tracker may end a flight
             return self._failed(f"{type(error).__name__}: {error}")
         if not has_found:
             return None

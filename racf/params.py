@@ -186,8 +186,8 @@ class Params:
             elif name not in types:
                 known = sorted([*types, "robust"])
                 near = difflib.get_close_matches(name, known, n=3)
-                told = f"did you mean {' or '.join(near)}?" if near else f"it has {', '.join(known)}"
-                raise ValueError(f"the tracker has no setting {name!r}; {told}")
+                hint = f"did you mean {' or '.join(near)}?" if near else f"it has {', '.join(known)}"
+                raise ValueError(f"the tracker has no setting {name!r}; {hint}")
             else:
                 values[name] = _parse(name, text, types[name])
         return replace(base, **values)

@@ -79,8 +79,8 @@ class Redetection:
             self._rivals = sorted(self._rivals, key=Rival.mean, reverse=True)[:RIVALS]
             return here, Verdict.LOST
         confidence.lost_frames = 0
-        heard = (rival for rival in self._rivals if rival.frames >= min(LEAST_FRAMES, agree))
-        return max(heard, key=Rival.mean).match, Verdict.CLEAR
+        established = (rival for rival in self._rivals if rival.frames >= min(LEAST_FRAMES, agree))
+        return max(established, key=Rival.mean).match, Verdict.CLEAR
 
     def near(self, box: Box, *places: Box) -> bool:
         """Whether a match is near enough to an expected position to need no comparison."""

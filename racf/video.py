@@ -70,10 +70,10 @@ class MissingFrames:
             (self.resized, "of another size"),
             (self.after_end, "after the end of the file"),
         )
-        told = [f"{count} {kind}" for count, kind in kinds if count]
+        counts = [f"{count} {kind}" for count, kind in kinds if count]
         first = f", first {self.first}" if self.first else ""
         several = "frames are" if self.frames > 1 else "frame is"
-        parts = [f"{self.frames} {several} missing ({', '.join(told)}{first})"] if told else []
+        parts = [f"{self.frames} {several} missing ({', '.join(counts)}{first})"] if counts else []
         parts += [f"it ends {self.cut_off_s:.1f} s before the length that it says"] if self.cut_off_s else []
         parts += [f"its time jumps {self.cuts} time{'s' if self.cuts > 1 else ''}"] if self.cuts else []
         return "; ".join(parts)

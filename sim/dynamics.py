@@ -117,10 +117,10 @@ def ramp(v: complex, a: complex, command: complex, limit: float, jerk: float, dt
     return v + a * dt, a
 
 
-def lean(asked: complex) -> tuple[float, float]:
+def lean(accel: complex) -> tuple[float, float]:
     """(roll, pitch) at which the rotors carry the weight and accelerate by forward + i·right."""
-    pitch = -math.atan2(asked.real, GRAVITY_M_S2)
-    return math.atan2(asked.imag * math.cos(pitch), GRAVITY_M_S2), pitch
+    pitch = -math.atan2(accel.real, GRAVITY_M_S2)
+    return math.atan2(accel.imag * math.cos(pitch), GRAVITY_M_S2), pitch
 
 
 _Triple = tuple[float, float, float]
@@ -220,13 +220,13 @@ class Vehicle:
         if now.landed and climb.down_m_s >= 0.0:
             self._rest(dt)
             return
-        asked = complex(level.forward_m_s, level.right_m_s)
+        desired = complex(level.forward_m_s, level.right_m_s)
         limits = response.limits
-        asked *= limits.level_m_s / abs(asked) if abs(asked) > limits.level_m_s else 1.0
+        desired *= limits.level_m_s / abs(desired) if abs(desired) > limits.level_m_s else 1.0
         down = max(-limits.climb_m_s, min(limits.descend_m_s, climb.down_m_s))
         # It controls the estimated velocity: an error of the estimate acts as the opposite error of the command.
         north_wrong, east_wrong, down_wrong = self._velocity_error
-        command = asked * cmath.exp(1j * yaw) - complex(north_wrong, east_wrong)
+        command = desired * cmath.exp(1j * yaw) - complex(north_wrong, east_wrong)
         self._plane.step(response.horizontal, command, self._air(), dt)
         self._lift.step(response.vertical, down - down_wrong, 0.0, dt)
         self._turn(turning.yaw_rate_rad_s, dt)

@@ -102,9 +102,9 @@ class RunningProgram:
     def _listen(self) -> None:
         assert self._process.stderr is not None
         while line := self._process.stderr.readline(LONGEST_LINE):
-            said = [part.strip() for part in line.decode(errors="replace").split("\r")]  # progress overwrites itself
-            if any(said):
-                self.last_error = next(part for part in reversed(said) if part)[:MOST_SAID]
+            parts = [part.strip() for part in line.decode(errors="replace").split("\r")]  # progress overwrites itself
+            if any(parts):
+                self.last_error = next(part for part in reversed(parts) if part)[:MOST_SAID]
 
     def read(self, size: int) -> bytes:
         """The available data, at most `size` bytes; b"" at the end.  Raises CameraError after the timeout."""
@@ -185,8 +185,8 @@ class ProgramCapture:
             return av.open(self._program, format=format_, options=options, **ANY_TEXT)
         except (av.error.FFmpegError, OSError, ValueError, CameraError) as error:
             self._program.wait_end()
-            said = "" if isinstance(error, CameraError) else self._program.said()
-            raise CameraError(f"{getattr(error, 'strerror', None) or error}{said}") from None
+            ended = "" if isinstance(error, CameraError) else self._program.said()
+            raise CameraError(f"{getattr(error, 'strerror', None) or error}{ended}") from None
 
     def images(self) -> Iterator[tuple[Image, float | None]]:
         """Yield the program's images until it ends."""
@@ -270,8 +270,8 @@ def open_program(name: CameraName, clock: Callable[[], float]) -> ProgramCapture
         capture = JpegCapture(program) if jpeg else ProgramCapture(name, program)
     except CameraError as error:
         program.wait_end()
-        said = "" if "; the program ended" in str(error) else program.said()
+        ended = "" if "; the program ended" in str(error) else program.said()
         program.close()
-        raise CameraError(f"camera {name.text!r} cannot be opened: {error}{said}") from None
+        raise CameraError(f"camera {name.text!r} cannot be opened: {error}{ended}") from None
     program.timeout_s = SILENT_S
     return capture

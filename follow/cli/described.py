@@ -47,18 +47,18 @@ def sentences(kind: type[Any]) -> dict[str, str]:
         for token in tokenize.generate_tokens(io.StringIO(source).readline)
         if token.type == tokenize.COMMENT
     }
-    said = dict.fromkeys((f.name for f in fields(kind)), "")
+    sentences_by_name = dict.fromkeys((f.name for f in fields(kind)), "")
     (definition,) = ast.parse(source).body
     assert isinstance(definition, ast.ClassDef)
     before = ""
     for node in definition.body:
         if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
             before = node.target.id
-            said[before] = comments.get(node.end_lineno or 0, "")
+            sentences_by_name[before] = comments.get(node.end_lineno or 0, "")
         elif before and isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
-            said[before] = " ".join(str(node.value.value).split())
+            sentences_by_name[before] = " ".join(str(node.value.value).split())
             before = ""
-    return said
+    return sentences_by_name
 
 
 def summary(kind: type[Any], *, whole: bool) -> str:

@@ -188,7 +188,7 @@ def _commands(config: Config, *, needs_all: bool = True, is_short: bool = False)
 @functools.cache
 def _open(kind: type[Any]) -> Any:
     """A copy of the dataclass `kind`, and of those in it, without checks of its values, and with the fields' help."""
-    said, hints, plain = described.sentences(kind), get_type_hints(kind, include_extras=True), get_type_hints(kind)
+    sentences, hints, plain = described.sentences(kind), get_type_hints(kind, include_extras=True), get_type_hints(kind)
     parts: list[tuple[str, Any, Any]] = []
     for f in fields(kind):
         hint, default = hints[f.name], field() if f.default is MISSING else field(default=f.default)
@@ -197,7 +197,7 @@ def _open(kind: type[Any]) -> Any:
             hint = Annotated[inner, tyro.conf.arg(name="")] if hint != plain[f.name] else inner
             default = field()
         else:
-            hint = _with_help(hint, plain[f.name], f.name, said[f.name], is_required=f.default is MISSING)
+            hint = _with_help(hint, plain[f.name], f.name, sentences[f.name], is_required=f.default is MISSING)
         parts.append((f.name, hint, default))
     doc = described.summary(kind, whole=kind in NAMES.values())
     return make_dataclass(kind.__name__, parts, namespace={"__doc__": doc}, kw_only=True)
@@ -212,11 +212,11 @@ def _short(name: str, kind: type[Any]) -> Any:
     return make_dataclass(kind.__name__, [("config", hint)], bases=(whole,), namespace={"__doc__": doc}, kw_only=True)
 
 
-def _with_help(hint: Any, plain: Any, name: str, said: str, *, is_required: bool) -> Any:
+def _with_help(hint: Any, plain: Any, name: str, text: str, *, is_required: bool) -> Any:
     """The field's type with its help: the sentence, the default with its unit, a metavar without None."""
     metadata = list(getattr(hint, "__metadata__", ()))
     known = [m for m in metadata if isinstance(m, ARG)]
-    arg: Any = replace(known[0] if known else cast(Any, tyro.conf.arg()), help=said)
+    arg: Any = replace(known[0] if known else cast(Any, tyro.conf.arg()), help=text)
     if not is_required:
         arg = replace(arg, help_behavior_hint=functools.partial(_default_shown, described.unit(name)))
     if type(None) in get_args(plain) and arg.metavar is None:

@@ -152,7 +152,7 @@ def check(command: RunCommand) -> None:
 
 
 def check_device(camera: CameraName) -> None:
-    """Raise UsageError for a device that is not there: it would be told only after the vehicle was waited for."""
+    """Raise UsageError for a device that is not there, before the wait for the vehicle."""
     if camera.kind is CameraKind.DEVICE and not Path(camera.address).exists():
         there = ", ".join(sorted(str(path) for path in Path("/dev").glob("video*"))) or "none: is it plugged in?"
         raise UsageError(f"there is no camera {camera.address}; there are {there}")
@@ -208,13 +208,15 @@ def fly_reported(
         keys = recording.enter_context(Keys())  # from now on keys are read, not echoed
         signing = Signing(command.signing_key) if command.signing_key else None
         starting = recording.enter_context(starting_log(command.out))
-        told = OnceEach(terminal.report)
-        tlog = Tlog(starting, told)
+        report_once = OnceEach(terminal.report)
+        tlog = Tlog(starting, report_once)
         kind = DryRunLink if command.dry_run else MavlinkLink
         with connect(command.link, command.system_id, signing=signing, tlog=tlog, kind=kind) as link:
             flight = prepare(command, link, refusing_early(keys, terminal.report))
             keys.refuse_early(terminal.report)
-            recorder = recording.enter_context(begin_recording(command, flight.seen, starting, terminal, early, told))
+            recorder = recording.enter_context(
+                begin_recording(command, flight.seen, starting, terminal, early, report_once)
+            )
             terminal.listeners.remove(keep)
             recorder.settings(as_toml(command.config, flight.seen.config, scene), command.config.camera.calibration)
             finished = fly_prepared(command, flight, link, recorder, terminal.report, exchange)
@@ -296,7 +298,7 @@ def starting_log(out: Path) -> Generator[Path, None, None]:
 
 @contextlib.contextmanager
 def begin_recording(
-    command: RunCommand, seen: OpenCamera, starting: Path, terminal: Terminal, early: Sequence[str], told: Notify
+    command: RunCommand, seen: OpenCamera, starting: Path, terminal: Terminal, early: Sequence[str], report_once: Notify
 ) -> Generator[Recorder, None, None]:
     """The recording of a flight that starts now; moves the last one aside, and includes the `early` messages."""
     keep_flight(command.out, terminal)
@@ -305,7 +307,7 @@ def begin_recording(
     kept = kept_geometry(seen.config.servo, seen.down_rad)
     setup = Setup(seen.lens, seen.down_rad, as_toml(seen.config), about=about)
     record = partial(Recorder, waits=False, about=about, clock=time.time, desired=kept, setup=setup, view=command.view)
-    with record(command.out, command.config.record, told) as recorder:
+    with record(command.out, command.config.record, report_once) as recorder:
         for line in early:
             recorder.message(line)
         terminal.listeners.append(recorder.message)

@@ -120,8 +120,8 @@ def simulate_into(flight: FlightSpec, terminal: Terminal, *, bar: bool) -> Flown
     keep_other_flight(flight.out, flown, terminal)
     kept, setup = kept_geometry(config.servo, down_rad), Setup(lens, down_rad, as_toml(config), about=about)
     record = partial(Recorder, waits=True, about=about, desired=kept, setup=setup, view=flight.view)
-    told = OnceEach(terminal.report)
-    with camera, record(flight.out, config.record, told) as recorder:
+    report_once = OnceEach(terminal.report)
+    with camera, record(flight.out, config.record, report_once) as recorder:
         recorder.settings(as_toml(flight.config, config, flight.scene), flight.config.camera.calibration)
 
         def true_box(tick: Tick) -> Box | None:
@@ -145,7 +145,7 @@ def simulate_into(flight: FlightSpec, terminal: Terminal, *, bar: bool) -> Flown
             draw(path, flight.name, referee.rows, world, drawn.intrinsics, servo.config.standoff_m, strip)
         except OSError as error:
             path.unlink(missing_ok=True)
-            told(unwritten(path, error))
+            report_once(unwritten(path, error))
     return FlownFlight(figures, finished, recorder.failure)
 
 

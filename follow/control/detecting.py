@@ -93,9 +93,9 @@ class DetectorProcess:
     def update(self, frame: Frame | None, t_s: float) -> Detections | None:
         """Take in a round at `t_s` and its frame; returns the last detections, None if they are too old."""
         if self._asked is not None and self._asked[0].done():
-            (asked, looked_at, since_s), self._asked = self._asked, None
+            (job, looked_at, since_s), self._asked = self._asked, None
             self._next_t_s = max(since_s + PERIOD_S, t_s + REST * (t_s - since_s))
-            answer = self._answer(asked)
+            answer = self._answer(job)
             if isinstance(answer, tuple):
                 self._found = Detections(looked_at.t_s, looked_at.index, answer)
                 self._judge_age(t_s - looked_at.t_s)
@@ -113,11 +113,11 @@ class DetectorProcess:
         if self._has_ended or (self._late is not None and not self._late.done()):
             return None
         try:
-            asked = self._calls.submit(self._call, image, (x, y))
-            answer = self._answer(asked)
+            job = self._calls.submit(self._call, image, (x, y))
+            answer = self._answer(job)
         except (RuntimeError, CancelledError):  # the flight ends
             return None
-        self._late = None if asked.done() else asked
+        self._late = None if job.done() else job
         return answer if isinstance(answer, Box) else None
 
     def _judge_age(self, age_s: float) -> None:
@@ -145,10 +145,10 @@ class DetectorProcess:
         self._pipe.send_bytes(np.ascontiguousarray(image).reshape(-1).data)
         return self._pipe.recv()
 
-    def _answer(self, asked: "Future[Answer]") -> Answer:
+    def _answer(self, job: "Future[Answer]") -> Answer:
         """The answer of a call; None if it failed, and a warning if the failure is new."""
         try:
-            answer = asked.result(CLICK_S)
+            answer = job.result(CLICK_S)
         except TookTooLong:
             return None
         except (OSError, EOFError):

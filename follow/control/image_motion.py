@@ -257,8 +257,8 @@ def goes_along(left: Array, t: Array, went: Array) -> Masks:
     `left` and `t` are the (N, 2) motions of the corners, measured and predicted for the ground, `went` (2,) that of the
     target.  All False for a target whose motion cannot be told from the ground's.
     """
-    apart = np.linalg.norm(went - t, axis=1) > APART * np.linalg.norm(t, axis=1)
-    return apart & (np.linalg.norm(left - went, axis=1) < np.linalg.norm(left - t, axis=1))
+    is_distinct = np.linalg.norm(went - t, axis=1) > APART * np.linalg.norm(t, axis=1)
+    return is_distinct & (np.linalg.norm(left - went, axis=1) < np.linalg.norm(left - t, axis=1))
 
 
 def within(box: Box, camera: Intrinsics) -> bool:

@@ -38,6 +38,6 @@ def check_images(frames: Sequence[Frame]) -> Finding:
     if not faults:
         return Finding("image", Health.OK, f"{len(frames)} frames looked at: none is black, flat or saturated")
     worst, _ = faults.most_common(1)[0]
-    told = ", ".join(f"{count} {fault}" for fault, count in faults.most_common())
+    counts = ", ".join(f"{count} {fault}" for fault, count in faults.most_common())
     verdict = Health.RED if 2 * sum(faults.values()) > len(frames) else Health.WARN
-    return Finding("image", verdict, f"of {len(frames)} frames: {told}", FIX[worst])
+    return Finding("image", verdict, f"of {len(frames)} frames: {counts}", FIX[worst])

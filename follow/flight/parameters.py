@@ -234,12 +234,12 @@ SIMULATOR_PARAMETER: dict[Autopilot, str] = {Autopilot.PX4: "SIM_BAT_DRAIN", Aut
 
 def names(autopilot: Autopilot) -> tuple[str, ...]:
     """Every parameter to read, by all its names, each once."""
-    asked = (parameter.name for question in QUESTIONS[autopilot] for parameter in question)
-    return tuple(dict.fromkeys((*asked, SIMULATOR_PARAMETER[autopilot])))
+    needed = (parameter.name for question in QUESTIONS[autopilot] for parameter in question)
+    return tuple(dict.fromkeys((*needed, SIMULATOR_PARAMETER[autopilot])))
 
 
 def answered(question: Question, known: Mapping[str, float], firmware: Firmware | None) -> Parameter:
     """The parameter of a question that the autopilot has, or else the one that its firmware should have."""
-    told = [parameter for parameter in question if parameter.name in known]
+    reported = [parameter for parameter in question if parameter.name in known]
     should = [parameter for parameter in question if parameter.exists_in(firmware)]
-    return (told or should or list(question))[0]
+    return (reported or should or list(question))[0]

@@ -121,7 +121,7 @@ class Recorder:
             raise OSError(f"--out {str(out)!r} must be a folder that can be written: {error.strerror}") from None
 
         def make() -> "RerunRecording":
-            from follow.recording.rerun_log import to_file  # noqa: PLC0415 - Rerun takes a second to load; the loop goes on
+            from follow.recording.rerun_log import to_file  # noqa: PLC0415 - Rerun takes a second to load: not in the loop
 
             return to_file(self._flight, about, config.encoder, config.jpeg_quality, desired)
 

@@ -130,9 +130,9 @@ def link(page: Page, table: FlightTable) -> None:
 def told(page: Page, flight: Path) -> None:
     """The lines shown to the person at the terminal."""
     page.section("What the pilot was told")
-    said = read_said(flight / "messages.jsonl.gz")
-    if said:
-        page.table(("at, s", "line"), [(f"{t_s:.1f}", text) for t_s, text in said])
+    messages = read_said(flight / "messages.jsonl.gz")
+    if messages:
+        page.table(("at, s", "line"), [(f"{t_s:.1f}", text) for t_s, text in messages])
     else:
         page.say("messages.jsonl.gz, which keeps it, is missing or holds no line.")
 

@@ -212,7 +212,7 @@ def facts(
     instruction: Instruction,
     limits: Limits,
 ) -> Facts:
-    """What the authority must know of this round."""
+    """The facts of this round for the authority."""
     stopping = must_stop(state, gate.authority.had_remote) or disobeying(gate.response, state, limits)
     found = hindrances(state, old, unseen_s, stopping, instruction.forbids, limits)
     if target is not UNKNOWN and distance_m(target) < limits.min_standoff_m:

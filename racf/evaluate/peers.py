@@ -68,9 +68,9 @@ class Peer:
         try:
             self._tracker.init(image, (round(box.x), round(box.y), round(box.w), round(box.h)))
         except cv2.error as error:
-            asked = f"; check its files: {self._files}" if self._files else ""
+            hint = f"; check its files: {self._files}" if self._files else ""
             raise ValueError(
-                f"OpenCV's {self._name} cannot start on {box}{asked}: {' '.join(str(error).split())}"
+                f"OpenCV's {self._name} cannot start on {box}{hint}: {' '.join(str(error).split())}"
             ) from None
         self._box, self._frame_shape = box, image.shape
         return self._track(True)

@@ -197,11 +197,11 @@ def run(
     while not is_over():
         ready, _, _ = select.select([port.socket for port in ports], [], [], STEP_S)
         system.step((time.monotonic() - began) * speedup)
-        said = list(system.told)
+        lines = list(system.told)
         if system.flight.mode != mode:
-            said.append(f"mode {mode} -> {system.flight.mode}")
+            lines.append(f"mode {mode} -> {system.flight.mode}")
             mode = system.flight.mode
-        for text in said:
+        for text in lines:
             report(f"{system.t_s:.1f} s: {text}")
         for link, port in enumerate(ports):
             if port.socket in ready:

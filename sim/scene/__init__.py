@@ -1,4 +1,4 @@
-"""The drawn world: who is in it and how they move (`world`, `worlds`), and what a camera sees of it (`rendering`).
+"""The drawn world: actors, their motion and their surroundings (`world`, `worlds`), and its images (`rendering`).
 
 May import: follow's geometry, racf's boxes.
 """

@@ -99,8 +99,8 @@ def live_row(
     timed = [(now, due, t) for now, n, t in got if (due := due_s(n)) is not None]
     delay = np.percentile([now - due for now, due, _ in timed], (50, 95)) if timed else None
     error = np.percentile([abs(t - due) for _, due, t in timed], (50, 95)) if timed else None
-    told = ["" if of is None else f"{1e3 * of[0]:.0f} / {1e3 * of[1]:.0f} ms" for of in (delay, error)]
-    return label, f"{opened_s:.1f} s", f"{len(got)} of {last - first + 1}", *told, again
+    cells = ["" if of is None else f"{1e3 * of[0]:.0f} / {1e3 * of[1]:.0f} ms" for of in (delay, error)]
+    return label, f"{opened_s:.1f} s", f"{len(got)} of {last - first + 1}", *cells, again
 
 
 def streams(folder: Path, seconds: float) -> list[tuple[str, ...]]:

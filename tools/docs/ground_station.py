@@ -70,8 +70,8 @@ def fly(rules: str, variant: str, direct: bool, seconds: float, out: Path) -> li
             log = [(t_s - drawn_s, words) for t_s, words in station.log]
             assert not station.errors, station.errors
         assert real.application.end() == 0
-        said = [line for line in real.application.lines if TOLD.search(line) and "recorded in" not in line]
-    return [*shortened(log), "", *said, "", f"{seen:.1f} boxes a second; given back in {mode}; {flown(out)}"]
+        lines = [line for line in real.application.lines if TOLD.search(line) and "recorded in" not in line]
+    return [*shortened(log), "", *lines, "", f"{seen:.1f} boxes a second; given back in {mode}; {flown(out)}"]
 
 
 def shortened(log: Log) -> Iterator[str]:

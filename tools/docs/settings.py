@@ -39,7 +39,7 @@ BELOW = {f"{branch}.{name}" for layer in PRESETS.values() for branch, held in la
 
 def table(branch: object, path: str) -> Iterator[str]:
     """A branch of the settings and its sub-branches, as TOML with a sentence after each value."""
-    said = sentences(type(branch))
+    texts = sentences(type(branch))
     values = {f.name: getattr(branch, f.name) for f in fields(branch)}
     leaves = {name: value for name, value in values.items() if not is_dataclass(value)}
     if leaves:
@@ -48,7 +48,7 @@ def table(branch: object, path: str) -> Iterator[str]:
     for name, value in lines.items():
         follows = f"{path}.{name}" in {*DERIVED, *BELOW}
         begin = f"{'#' * follows}{name} = {literal(value)}"
-        yield f"{begin:<28}  # {': '.join(filter(None, (unit(name), said[name])))}"
+        yield f"{begin:<28}  # {': '.join(filter(None, (unit(name), texts[name])))}"
     for name, value in values.items():
         if name not in leaves:
             yield from table(value, f"{path}.{name}" if path else name)

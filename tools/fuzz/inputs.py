@@ -228,15 +228,15 @@ def main(argv: list[str] | None = None) -> int:
     before = signal.signal(signal.SIGALRM, hang)
     failed = False
     quiet = os.open(os.devnull, os.O_WRONLY)
-    heard = os.dup(2)
+    stderr = os.dup(2)
     os.dup2(quiet, 2)  # libpng, libjpeg and FFmpeg write their own messages there
     with tempfile.TemporaryDirectory() as folder:
         for name, (seeds, target) in targets(Path(folder)).items():
             if options.only in name:
-                said, wrong = fuzz(name, seeds, target, options.seconds, random.Random(options.seed))
-                print(wrong or said, flush=True)
+                figures, wrong = fuzz(name, seeds, target, options.seconds, random.Random(options.seed))
+                print(wrong or figures, flush=True)
                 failed |= bool(wrong)
-    os.dup2(heard, 2)
+    os.dup2(stderr, 2)
     signal.signal(signal.SIGALRM, before)
     return 1 if failed else 0
 

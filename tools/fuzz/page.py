@@ -162,8 +162,8 @@ def main(argv: list[str] | None = None) -> int:
         (before / "ticks.csv").write_text("t_s\n")
         with PageRig(Path(folder) / "now") as rig:
             for name, (seeds, send) in kinds(rig, rng).items():
-                said, wrong = fuzz(rig, name, seeds, send, options.seconds, rng)
-                print(wrong[:4000] or said, flush=True)
+                figures, wrong = fuzz(rig, name, seeds, send, options.seconds, rng)
+                print(wrong[:4000] or figures, flush=True)
                 failed |= bool(wrong)
         assert sorted(os.listdir(folder)) == ["before"], "the page wrote somewhere"
     return 1 if failed else 0

@@ -110,11 +110,11 @@ def main() -> None:
     print("\n| led along the authors' boxes | half A | half B | less the first, with 95 % |\n|---|---|---|---|")
     for label, of in agreed.items():
         halves = (np.mean([of[name] for name in of if name in HALVES[half]]) for half in ("A", "B"))
-        apart = [of[name] - agreed[labels[0]][name] for name in of]
-        low, high = interval_of_mean(apart)
+        deltas = [of[name] - agreed[labels[0]][name] for name in of]
+        low, high = interval_of_mean(deltas)
         cells = " | ".join(f"{100 * mean:.1f} %" for mean in halves)
         print(
-            f"| `{label}` | {cells} | {100 * np.mean(apart):+.1f} ({100 * low:+.1f}..{100 * high:+.1f}) |", flush=True
+            f"| `{label}` | {cells} | {100 * np.mean(deltas):+.1f} ({100 * low:+.1f}..{100 * high:+.1f}) |", flush=True
         )
 
 

@@ -180,9 +180,9 @@ def over(figures_of: Figures, names: Iterable[str]) -> Pair:
 
 def difference(first: Figures, second: Figures, names: Iterable[str]) -> Difference:
     """First minus second, paired by sequence."""
-    apart = np.array([np.subtract(first[name], second[name]) for name in names])
-    ends = [interval_of_mean(column.tolist()) for column in apart.T]
-    precision, auc = ((float(mean), *end) for mean, end in zip(apart.mean(axis=0), ends, strict=True))
+    differences = np.array([np.subtract(first[name], second[name]) for name in names])
+    ends = [interval_of_mean(column.tolist()) for column in differences.T]
+    precision, auc = ((float(mean), *end) for mean, end in zip(differences.mean(axis=0), ends, strict=True))
     return Difference(precision, auc)
 
 
@@ -259,8 +259,8 @@ def choice(family: Family, measured: Mapping[str, Figures]) -> str:
     for fold in folds:
         names = HALVES[fold.reported_on]
         precision, auc = over(measured[fold.label], names)
-        apart = difference(measured[fold.label], default, names)
-        cells = (fold.chosen_on, f"`{fold.label}`", fold.reported_on, f"{precision:.1f} / {auc:.1f}", str(apart))
+        delta = difference(measured[fold.label], default, names)
+        cells = (fold.chosen_on, f"`{fold.label}`", fold.reported_on, f"{precision:.1f} / {auc:.1f}", str(delta))
         lines.append(f"| {' | '.join(cells)} |")
     precision, auc = over(reported, every)
     lines.append(f"| the other half | | all | {precision:.1f} / {auc:.1f} | {difference(reported, default, every)} |")
@@ -311,10 +311,10 @@ def main() -> None:
     parser.add_argument("--jobs", type=processes, default="0", help="number of processes; 0: one for each core")
     parser.add_argument("--dask", help="address of a running Dask scheduler")
     args = parser.parse_args()
-    asked = args.tracker or [
+    chosen = args.tracker or [
         *PRESENTED, *(label for family in FAMILIES.values() for label in (family.default, *family.others)),
     ]  # fmt: skip
-    labels = list(dict.fromkeys([args.against, *asked]))
+    labels = list(dict.fromkeys([args.against, *chosen]))
     if args.only and not args.tracker:
         parser.error("--only goes with --tracker: without it the best of each half is chosen, over whole halves")
     try:

@@ -30,7 +30,7 @@ SLOPES = (0.0, 0.03, 0.05, 0.08, 0.10, 0.20, -0.03, -0.05, -0.08, -0.10, -0.20)
 SPEEDS_M_S = (1.4, 3.0)
 WAY_M = 115.0
 STATES = 5
-WAVER, WAVER_S = 0.1, 5.0  # of the speed of somebody on foot, and for how long
+WAVER, WAVER_S = 0.1, 5.0  # relative variation of a walker's speed, and its correlation time
 FROM_S = 6.0  # the estimate is judged from here on
 SEEN_S = 0.5  # ... while the target was seen within this time
 Flight = tuple[str, float, float, int]
@@ -85,12 +85,12 @@ def over_hill(speed_m_s: float, slope: float, rules: str, seed: int) -> GroundFl
         moves = speed_m_s * dt if step * dt >= 4.0 else 0.0
         place = place + moves * np.array([1.0 + waver[0], waver[1]])
         places.append(place)
-    way = np.array(places)
+    path = np.array(places)
     lower = random.normal(0, math.hypot(c.ground.start_std_m, c.ground.slope_std * 12.0))
     size = c.size_m * math.exp(random.normal(0, c.size_relative_std))
 
     def at(t_s: float) -> tuple[float, float]:
-        return tuple(float(np.interp(t_s, dt * np.arange(len(way)), way[:, k])) for k in (0, 1))  # pyright: ignore[reportReturnType]
+        return tuple(float(np.interp(t_s, dt * np.arange(len(path)), path[:, k])) for k in (0, 1))  # pyright: ignore[reportReturnType]
 
     return GroundFlight(
         at,

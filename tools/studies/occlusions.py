@@ -101,12 +101,12 @@ def drawn(sequence: Sequence, seed: int) -> Iterator[Event]:
         target = Box(*(float(v) for v in boxes[first]))
         w, h = (max(round(side * rng.uniform(*SIZES)), 3) for side in (target.w, target.h))
         angle = rng.uniform(0, 2 * np.pi)
-        apart = 0.5 * min(
+        touch_px = 0.5 * min(
             (target.w + w) / max(abs(np.cos(angle)), 1e-9), (target.h + h) / max(abs(np.sin(angle)), 1e-9)
         )
         piece = _background(rng, target, (w, h), (rows, cols))
         if piece is not None:
-            way = apart * float(np.cos(angle)), apart * float(np.sin(angle))
+            way = touch_px * float(np.cos(angle)), touch_px * float(np.sin(angle))
             yield Event(sequence.name, first, sequence.frames[first : first + length], piece, way, crossing)
 
 

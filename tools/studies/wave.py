@@ -48,7 +48,7 @@ CASES = [
     Case("gently", amount=0.3, delay_s=0.1),
     Case("hardly moved", amount=0.03),
 ]
-ATTITUDE_NOISE_RAD = math.radians(0.1)  # of each message, white: what the autopilot's filter leaves
+ATTITUDE_NOISE_RAD = math.radians(0.1)  # white noise of each message, as after the autopilot's own filter
 BELIEVED = Intrinsics.from_fov(640, 360, math.radians(80.0))
 
 
