@@ -69,7 +69,7 @@ class Limits:
     yaw_accel_rad_s2: float = 6.0  # Maximum yaw acceleration: full rate in 0.25 s, as both autopilots were measured.
     floor_m: float = 2.0  # Minimum height above the start's ground: out of a person's reach.
     ceiling_m: float = 100.0  # Maximum height; the open category's limit in Europe is 120 m.
-    fence_m: float = 300.0  # Maximum distance from where FOLLOW began: visual line of sight of a small drone.
+    fence_m: float = 300.0  # Maximum distance from home, or from the first FOLLOW if home is unknown: line of sight.
     min_standoff_m: float = 4.0  # Minimum distance to the target's head; braking takes 1 m from a walk, 3 m from a run.
     above_target_m: float = 25.0  # Maximum height above the target for a climb; 12 m away at 30 degrees it is 7 m.
     clear_distance: float = 1.0  # The vehicle must be able to stop within this fraction of the range; 0 means no limit.
