@@ -79,14 +79,14 @@ class Limits:
     frame_age_s: float = 0.2  # Maximum age of the newest frame: six frames at 30 frames/s.
     latency_s: float | None = None  # The camera's own known delay, added to frame_age_s. Derived: camera.delay_s.
     attitude_age_s: float = 0.1  # Maximum age of the attitude; at the maximum yaw rate it is 9 degrees off by then.
-    position_age_s: float = 0.5  # Maximum age of the position: 4 m at the maximum speed, which is the stand-off.
+    position_age_s: float = 0.5  # Maximum age of the position: at the maximum speed 4 m, as much as min_standoff_m.
     heartbeat_age_s: float = 3.0  # Maximum age of the autopilot's heartbeat: three missed ones.
     coast_after_s: float = 0.25  # A target not seen for this long counts as lost.
     search_after_s: float = 4.0  # A target not seen for this long: SEARCH; COAST scales down from half of it on.
     give_up_after_s: float = 20.0  # A target not seen for this long: HOLD; a walker may be 28 m from its prediction.
     stale_grace_s: float = 1.0  # Grace period for stale data before the stream stops or an order is void.
     hold_timeout_s: float = 30.0  # Timeout of HOLD, then the autopilot's own Hold, which also holds the position.
-    reach_after_s: float = 5.0  # A limit that keeps the vehicle from its target for this long is told to the pilot.
+    reach_after_s: float = 5.0  # A limit that keeps the vehicle from its target for this long is reported.
     out_of_reach_s: float = 35.0  # Timeout of a target out of reach, then HOLD: at 1 m/s more than ours it is 35 m off.
     disobey_after_s: float = 2.0  # A vehicle whose velocity differs from what is sent for this long does not obey.
     ready_after_s: float = 0.5  # FOLLOW must be possible for this long before READY is shown; against flicker.
