@@ -42,7 +42,7 @@ class VideoConfig:
     rate_bit_s: int = 2_000_000
     """Highest bit rate: 2 Mbit/s shows a 640x360 scene at 37 dB in its worst part (docs/ground_station.md)."""
     key_s: float = KEY_S
-    """Time between key frames: a short one recovers from lost packets sooner, a long one looks better at a low rate."""
+    """Time between key frames, s: a short one recovers sooner from a loss, a long one looks better at a low rate."""
     twice: bool = False
     """Send each RTP packet twice, for a radio that loses many; half of rate_bit_s each. Not for FFmpeg."""
     encoder: Encoder = Encoder.AUTO

@@ -31,10 +31,13 @@ def modes_page() -> str:
     lines = [
         "# Modes of the gate",
         "",
-        "Generated from the table in `follow/safety/modes.py` by `python -m tools.docs.safety`. An event that the",
-        "table does not name for a mode changes nothing. A takeover, a disarm, a stick or the order OBSERVE ends every",
-        "flying mode; stale data, a low battery, a lost remote control or leaving changes every flying mode to brake.",
-        "The diagram leaves these arrows out.",
+        "This page is generated from the table in `follow/safety/modes.py` by `python -m tools.docs.safety`. An event",
+        "that the table does not name for a mode changes nothing. The diagram leaves out what applies to",
+        "every flying mode:",
+        "",
+        "- A takeover, a disarm, a stick, another sender or the order OBSERVE ends it.",
+        "- Stale or contradictory data, a low battery, a lost remote control, a landing, a vehicle that does not obey,",
+        "  or leaving the program changes it to brake.",
         "",
         "```mermaid",
         "stateDiagram-v2",
@@ -60,7 +63,7 @@ def modes_page() -> str:
         "",
         "## Reasons",
         "",
-        "Every change of mode, and every order that waits, is refused or dies, has one:",
+        "Every change of mode has a reason, and so has every order that waits, is refused or becomes void:",
         "",
     ]
     lines += [f"- {shown(cause)}" for cause in Cause]
