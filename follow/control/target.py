@@ -57,21 +57,21 @@ class TargetConfig:
     speed_std_m_s: float = 3.0  # Speed of the target expected at the start: that of a runner.
     motion: Motion = field(default_factory=Motion)
     ground: GroundTrust = field(default_factory=GroundTrust)
-    near_sigmas: float = 2.0  # Standard deviations between the range and the nearest possible one: 97.7 % lie farther.
-    jump_m: float = 1.5  # Step of the vehicle's position beyond its velocity that is a reset of its estimator.
+    near_sigmas: float = 2.0  # Standard deviations between the range and the nearest plausible one: 97.7 % lie farther.
+    jump_m: float = 1.5  # Least jump of the position, beyond what the velocity explains, that is an estimator reset.
     gate_noise: float = 2.5  # The gate on boxes expects errors this many times larger: keeps a target that sets off.
     gate_sigmas: float = 4.0  # Largest distance of a box from the prediction, in standard deviations.
     gate_size: float = 2.0  # Largest ratio of a box's size to the expected size, or of its inverse.
     lost_after_s: float = 0.5  # A target not seen for this long must be confirmed.
     confirm: int = 3  # Number of consecutive frames that confirm a target.
-    confirm_fraction: float = 0.05  # Fraction of the time unseen over which frames must confirm a target.
-    regain_sigmas: float = 3.0  # Largest distance of a target found again, in standard deviations.
+    confirm_fraction: float = 0.05  # Confirmation must also last this fraction of the time unseen before it.
+    regain_sigmas: float = 3.0  # Largest distance of a candidate from the lost target's path, in standard deviations.
     regain_area_m2: float = 100.0  # Largest area of likelier places: 10 % risk at one person in 400 m², 40 % alike.
     # Ratios of PSR to the target's running mean, measured on ten real sequences (docs/confidence.md):
     psr_ratio_lost: float = 0.6  # Boxes below this ratio of PSR to its mean are rejected: 3 % on target, 97 % off it.
     psr_ratio_regained: float = 0.7  # The same while a target must be confirmed; rejects 5 % on target, 99 % off it.
-    psr_cap: float = 20.0  # Cap of the mean PSR: a PSR of 15 is the target although it was 40 before.
-    psr_rate: float = 0.01  # Gain of the mean PSR for each accepted frame: it follows within about three seconds.
+    psr_cap: float = 20.0  # Cap of the mean PSR: after a mean of 40 a PSR of 15 is still accepted.
+    psr_rate: float = 0.01  # Gain of the running mean of PSR per accepted frame: a time constant of about 3 s.
     settle: int = 5  # Number of frames before the mean PSR is used: the first response can be far sharper.
     steady_s: float = 6.0  # Assume constant velocity for this long after the last sighting: time to pass some trees.
     coast_s: float = 6.0  # Time constant with which an unseen target slows down after steady_s.

@@ -87,8 +87,8 @@ class Limits:
     stale_grace_s: float = 1.0  # Grace period for stale data before the stream stops or an order is void.
     hold_timeout_s: float = 30.0  # Timeout of HOLD, then the autopilot's own Hold, which also holds the position.
     reach_after_s: float = 5.0  # A limit that keeps the vehicle from its target for this long is reported.
-    out_of_reach_s: float = 35.0  # Timeout of a target out of reach, then HOLD: at 1 m/s more than ours it is 35 m off.
-    disobey_after_s: float = 2.0  # A vehicle whose velocity differs from what is sent for this long does not obey.
+    out_of_reach_s: float = 35.0  # Timeout of a target out of reach, then HOLD: at 1 m/s more than ours it gains 35 m.
+    disobey_after_s: float = 2.0  # A vehicle whose velocity differs from the setpoint for this long does not obey.
     ready_after_s: float = 0.5  # FOLLOW must be possible for this long before READY is shown; against flicker.
     order_timeout_s: float = 3.0  # An order that cannot be carried out within this time is void.
     engage_timeout_s: float = 5.0  # Timeout for the autopilot to obey; PX4 needs 1 s of stream and 1 s to report.
