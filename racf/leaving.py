@@ -1,18 +1,23 @@
-"""A first box that is too large, or beside the target: what of it moves off the ground is the target.
+"""Corrects a first box that is too large or beside the target: the tracker restarts on what moves out of the box.
 
-Who draws a box with a finger draws it loosely.  Most of such a box is ground, and a tracker that stays on that ground
-while the target walks out of it is as confident as one that follows.  So points of the first box are followed from
-frame to frame, and the motion of the ground, fitted to a ring around them, is taken off.  Where some of them move off
-together, the rest stays, and those that moved span much less than the tracker's box or lie elsewhere, the tracker is
-to start again on what they span, in the first box's aspect: who draws loosely draws loosely all around.
+A box drawn with a finger is loose.  If most of it is ground, the filter may stay on that ground while the target walks
+off, and its confidence stays high.  So points of the first box are tracked from frame to frame, and the motion of the
+ground, fitted to a ring of points around the tracker's box, is subtracted.  The tracker restarts if some points move
+off together, the rest stays, and the points that moved cover much less than the tracker's box or lie beside it.  The
+new box spans these points and has the first box's aspect ratio, because a loose box is loose on all sides.
 
-What stands upright leans in the image as the camera moves: its head moves over the ground behind, its feet do not.  So
-what moves the less, the lower it is, has not left.
+Each of these cases could restart a tracker whose box is right, and has its own test:
 
-A passer-by must not be followed.  It is not in the first box: every point begins there.  Points that its edge drags
-along no longer look as they did; the target looks the same where its points are, and no longer where they would be on
-the ground.  Once what moves agrees with the tracker's box, that is proven, and nothing more is looked at.
-The numbers were set on the study's sequences, LEANS in simulated flights: docs/notebook.md, "A loose first box".
+* A passer-by: every tracked point begins inside the first box; motion that came in from outside is not followed.
+* An edge that passes drags points along: points must still look as in the first frame, and must look different where
+  they would be if they had stayed on the ground.
+* A standing person leans in the image as the camera moves, because the head moves over the ground behind and the feet
+  do not: motion that decreases downwards is not a departure.
+* A person gets off a standing vehicle: most points that stay must have a colour that is also found around the box, as
+  ground has.
+
+Once the points that moved agree with the tracker's box, the box is confirmed and the search ends.
+How each number was set is in docs/notebook.md, "A loose first box".
 """
 
 import math
@@ -40,10 +45,15 @@ TOLD, AGREED = 2, 3  # frames in a row that must tell of another box, and frames
 
 @dataclass(frozen=True, slots=True)
 class Moved:
-    """What moved off the ground together: a box around it, and its width and height in those of the first (2,)."""
+    """Points that moved off together.
+
+    box: around them; spread (2,): its width and height in those of the first box; off_ground: whether what stays
+    looks like ground.
+    """
 
     box: Box
     spread: Float64
+    off_ground: bool
 
     def is_within(self) -> bool:
         """Whether it is smaller than the first box all around, as a target in a loose box is; a part of one is not."""
@@ -79,7 +89,7 @@ class Leaving:
         points.follow(image, box)
         moved = _moved_off(points) if self._frames >= FIRST else None
         another = moved is not None and moved.is_another(box)
-        self._told = self._told + 1 if moved is not None and another and moved.is_within() else 0
+        self._told = self._told + 1 if moved is not None and another and moved.is_within() and moved.off_ground else 0
         self._agreed += moved is not None and not another
         few = np.mean(points.seen) < KNOWN
         if few or self._frames >= LONGEST or self._told >= TOLD or self._agreed >= AGREED:
@@ -111,7 +121,7 @@ def _moved_off(points: OffGround) -> Moved | None:
     spread = (high - low) / points.sides + points.grown / POINTS  # a point stands for what is around it
     middle, scale = (low + high) / 2, math.sqrt(spread[0] * spread[1])
     box = Box.around(float(middle[0]), float(middle[1]), *(scale * points.sides).tolist())
-    return Moved(box, spread / points.grown)
+    return Moved(box, spread / points.grown, points.look_like_ground(still))
 
 
 def _leans(down: Float64, share: Float64) -> bool:

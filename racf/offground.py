@@ -29,6 +29,10 @@ LOOK = 4  # half the side of the square by which a point's look is judged, px of
 BACK_PX = 1.0  # furthest from where a point was, by the flow there and back
 LEAST_RING, LEAST_GROUND = 6, 0.4  # points of the ring, and share of them that agree on how the ground moved
 GROUND_PX, GROUND = 0.75, 0.01  # how near: px of the patch or sides
+# Largest distance (8-bit Lab) at which two colours are the same; on varied ground, the distance within which this
+# fraction of the ring's points have another one.
+SAME_LAB, SAME_RING = 6.0, 0.75
+SAME_SHARE = 0.7  # least fraction of points with a colour of the ring
 SAME_LOOK = 0.6  # most difference of their looks from the first, squared, by the first's contrast: a correlation of 0.7
 ALIKE = 0.35  # how near points are to a common motion, of it
 NOW, LATELY = 5, 30  # frames
@@ -66,16 +70,16 @@ class OffGround:
         self.seen = np.all((self.at > 3) & (self.at < np.array(self._size) - 3), axis=1)
         self.grown, self.noise = 1.0, 0.0
         self._around, self._steps = deque[Float64](maxlen=LATELY), deque[Float64](maxlen=NOW)
-        self._patch = self._drawn(image, self._centre)
+        planes = self._sampled(image, self._centre)
+        self._patch = _grey(planes)
         self._first = self._looked(self.at)
+        self._ground_like = self._like_ring(planes)
 
     def follow(self, image: UInt8, box: Box) -> None:
         """Follow them into the next image, in which the tracker is at `box`."""
         there = np.array([box.centre_x, box.centre_y])
-        after = self._drawn(image, there)
-        away = np.maximum(self.sides / 2 + AROUND * self.side, self.sides / 2 + (self._window / 2 + 1) / self.zoom)
-        ring = self._centre + _RING * away
-        ring = ring[np.all((ring > 3) & (ring < np.array(self._size) - 3), axis=1)]
+        after = _grey(self._sampled(image, there))
+        ring = self._ring()
         known = np.flatnonzero(self.seen)
         points = np.vstack([self.at[known], ring])
         if len(points) == 0:
@@ -102,6 +106,10 @@ class OffGround:
         here, there = (float(np.nansum((first - self._looked(places)) ** 2)) for places in (at, at - off))
         return here <= SAME_LOOK * min(there, float(np.nansum(first**2)))
 
+    def look_like_ground(self, points: Bool) -> bool:
+        """Whether the colours of most points are also found on the ring, in the first image; a vehicle's are not."""
+        return bool(np.mean(self._ground_like[points]) >= SAME_SHARE)
+
     def come_from_outside(self, points: Bool) -> bool:
         """Whether something around the box moved lately as these points do now."""
         steps = [np.median(step[points], axis=0) for step in self._steps]
@@ -122,6 +130,29 @@ class OffGround:
         self.noise = math.hypot(self.noise, float(np.median(np.linalg.norm(after - _mapped(ground, before), axis=1))))
         return ground
 
+    def _ring(self) -> Float64:
+        """(n, 2): places around the box, inside the image."""
+        away = np.maximum(self.sides / 2 + AROUND * self.side, self.sides / 2 + (self._window / 2 + 1) / self.zoom)
+        ring = self._centre + _RING * away
+        return ring[np.all((ring > 3) & (ring < np.array(self._size) - 3), axis=1)]
+
+    def _like_ring(self, planes: UInt8) -> Bool:
+        """(n,): whether the mean colour around each point is near one on the ring; all False without a ring."""
+        ring = self._ring()
+        if len(ring) < LEAST_RING:
+            return np.zeros(len(self.at), bool)
+        lab = cv2.cvtColor(_bgr(planes), cv2.COLOR_BGR2LAB)
+        means = cv2.blur(lab.astype(np.float32), (len(_LOOK), len(_LOOK)), borderType=cv2.BORDER_REPLICATE)
+        wide, high = self._shape
+        at, around = (np.rint(self._to_patch(places)).astype(int) for places in (self.at, ring))
+        inside, outside = (
+            means[np.clip(places[:, 1], 0, high - 1), np.clip(places[:, 0], 0, wide - 1)] for places in (at, around)
+        )
+        apart = np.linalg.norm(outside[:, None] - outside[None], axis=2)
+        np.fill_diagonal(apart, np.inf)
+        near = max(SAME_LAB, float(np.quantile(apart.min(axis=1), SAME_RING)))
+        return np.linalg.norm(inside[:, None] - outside[None], axis=2).min(axis=1) <= near
+
     def _looked(self, at: Float64) -> Float32:
         """(n, pixels): the squares around places (n, 2), less their means; NaN beyond the patch."""
         x, y = np.rint(self._to_patch(at)).astype(int).T
@@ -137,14 +168,11 @@ class OffGround:
     def _to_patch(self, at: Float64) -> Float64:
         return (at - self._centre) * self.zoom + self._shape / 2 - 0.5
 
-    def _drawn(self, image: UInt8, centre: Float64) -> UInt8:
-        """What is around `centre`, in grey."""
+    def _sampled(self, image: UInt8, centre: Float64) -> UInt8:
+        """(planes, rows, columns): what is around `centre`."""
         wide, high = self._shape.tolist()
         x, y = centre.tolist()
-        planes = resample(image, x, y, wide / self.zoom, high / self.zoom, wide, high)
-        if len(planes) == 1:
-            return planes[0]
-        return np.asarray(cv2.cvtColor(cv2.merge(list(planes)), cv2.COLOR_BGR2GRAY), np.uint8)
+        return resample(image, x, y, wide / self.zoom, high / self.zoom, wide, high)
 
     def _followed(self, points: Float64, guess: Float64, after: UInt8) -> tuple[Float32, Bool]:
         """Where points (n, 2) of the patch went in the next, and which of them were followed there and back (n,)."""
@@ -160,6 +188,16 @@ class OffGround:
         return cv2.calcOpticalFlowPyrLK(
             before, after, at, ahead, winSize=window, maxLevel=2, criteria=_SEARCH, flags=flags
         )
+
+
+def _bgr(planes: UInt8) -> UInt8:
+    """(1 or 3, rows, columns) -> (rows, columns, 3)."""
+    return np.asarray(cv2.merge([planes[0], planes[len(planes) // 2], planes[-1]]), np.uint8)
+
+
+def _grey(planes: UInt8) -> UInt8:
+    """(1 or 3, rows, columns) -> (rows, columns)."""
+    return planes[0] if len(planes) == 1 else np.asarray(cv2.cvtColor(_bgr(planes), cv2.COLOR_BGR2GRAY), np.uint8)
 
 
 def _mapped(similarity: Float64, points: Float64) -> Float64:

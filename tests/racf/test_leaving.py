@@ -20,7 +20,9 @@ def texture(rows: int, cols: int, blur: float, low: int, high: int) -> np.ndarra
     return cv2.normalize(cv2.GaussianBlur(noise, (0, 0), blur), None, low, high, cv2.NORM_MINMAX)
 
 
-GROUND = texture(ROWS + 200, COLS + 400, 3.0, 60, 190)
+# Light and dark earth: the points of the box are compared with the colours of the ground around it.
+GROUND = cv2.merge([texture(ROWS + 200, COLS + 400, 3.0, 60, 190)[..., 0]] * 3)
+GROUND[..., 0] -= 25
 TARGET, PASSER = texture(H, W, 2.0, 0, 255), texture(H, W, 2.0, 0, 255)
 LOOSE = [(1.5, 0.0, 0.0), (2.0, 0.0, 0.0), (1.5, 0.35, 0.2), (1.5, -0.35, -0.2)]
 Path = Callable[[int], tuple[float, float]]
@@ -137,6 +139,33 @@ def test_without_the_switch_nothing_is_looked_for():
     assert "leaving" in tracks[-1].stage_ms
 
 
+PATTERN = texture(60, 96, 4.0, 0, 255)
+VEHICLES = {
+    "ground": None,
+    "red, with a pattern": np.uint8(0.6 * PATTERN + np.array([10, 10, 90])),
+    "grey, with dark windows": np.uint8(170 + 0.2 * PATTERN)
+    * np.uint8(np.indices((60, 96)).sum(axis=0) % 24 > 7)[..., None],
+    "of all colours": PATTERN,
+}
+
+
+@pytest.mark.parametrize("stays", VEHICLES)
+def test_who_leaves_a_standing_vehicle_is_not_taken_for_the_target(stays):
+    """Right boxes around vehicles; the same box on ground is loose, and there who leaves is the target."""
+
+    def image_at(k: int) -> np.ndarray:
+        image = cv2.warpAffine(GROUND, np.array([[1, 0, -200], [0, 1, -100]], float), (COLS, ROWS))
+        vehicle = VEHICLES[stays]
+        if vehicle is not None:
+            image[ROWS // 2 - 30 : ROWS // 2 + 30, COLS // 2 - 48 : COLS // 2 + 48] = vehicle
+        put(image, TARGET, COLS / 2 + 1.1 * max(k - 8, 0), ROWS / 2 + 5)
+        return image
+
+    tracker = Racf(TIGHTEN)
+    tracker.init(image_at(0), Box.around(COLS / 2, ROWS / 2, 96, 60))
+    assert sum(tracker.update(image_at(k)).restarted for k in range(1, 70)) == (stays == "ground")
+
+
 class Points:
     """Points of a first box of 40 by 80 px, each off the ground by its part of `motion`, and still followed."""
 
@@ -151,6 +180,9 @@ class Points:
         return False
 
     def look_the_same(self, _points: np.ndarray) -> bool:
+        return True
+
+    def look_like_ground(self, _points: np.ndarray) -> bool:
         return True
 
 
