@@ -13,7 +13,7 @@ from typing_extensions import Self
 
 from follow.geometry import Intrinsics, camera_to_ned, heading_to_ned
 from follow.link import Link
-from follow.messages import NEVER, Frame
+from follow.messages import NEVER, Frame, VehicleState
 from racf.box import Box
 from sim.dynamics import GroundHeight, VehicleTruth, level
 from sim.scene.drawing import View
@@ -28,6 +28,7 @@ ROUNDS_PER_S = 30.0  # at least, with or without a frame
 # The longest extrapolation of telemetry: the image of a simulator that stalls or runs slowly then stands still
 MOVED_S = 0.25  # of the position: half of the gate's position_age_s
 TURNED_S = 0.1  # of the attitude: the gate's attitude_age_s, 38 pixels at 1 rad/s
+TILTED_S = 0.01  # least time between two attitudes from which a tilt rate is computed
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +83,8 @@ class LiveFlight:
         self.link, self.start, self.ground = link, start, ground
         self._anchor: VehicleTruth | None = None
         self._due_s = 0.0
+        self._tilted: VehicleState | None = None  # the last state with a new attitude
+        self._roll_rate = self._pitch_rate = 0.0
 
     def advance(self, dt_s: float) -> VehicleTruth:
         """Sleep until the time has passed; raises LinkError through the link when it breaks."""
@@ -111,6 +114,7 @@ class LiveFlight:
         s = self.link.state()
         old = min(s.t_s - s.position_t_s, MOVED_S) if s.position_t_s > NEVER else 0.0
         turned = min(s.t_s - s.attitude_t_s, TURNED_S) if s.attitude_t_s > NEVER else 0.0
+        self._measure_tilting(s)
         return VehicleTruth(
             t_s=s.t_s,
             north_m=s.north_m + old * s.north_m_s,
@@ -119,11 +123,23 @@ class LiveFlight:
             north_m_s=s.north_m_s,
             east_m_s=s.east_m_s,
             down_m_s=s.down_m_s,
-            roll_rad=s.roll_rad,
-            pitch_rad=s.pitch_rad,
+            roll_rad=s.roll_rad + turned * self._roll_rate,
+            pitch_rad=s.pitch_rad + turned * self._pitch_rate,
             yaw_rad=s.yaw_rad + turned * s.yaw_rate_rad_s,
             yaw_rate_rad_s=s.yaw_rate_rad_s,
         )
+
+    def _measure_tilting(self, s: VehicleState) -> None:
+        """Difference two attitudes: telemetry has no roll and pitch rates."""
+        last = self._tilted or s
+        since_s = s.attitude_t_s - last.attitude_t_s
+        if TILTED_S < since_s < TURNED_S:
+            self._roll_rate = (s.roll_rad - last.roll_rad) / since_s
+            self._pitch_rate = (s.pitch_rad - last.pitch_rad) / since_s
+        elif since_s >= TURNED_S:
+            self._roll_rate = self._pitch_rate = 0.0
+        if self._tilted is None or since_s > TILTED_S:
+            self._tilted = s
 
 
 class SceneCamera:

@@ -19,6 +19,9 @@ EXTRAPOLATE_S = 0.3
 MEMORY = 256
 """States kept: 2.5 s at 100 rounds a second, several times the longest camera latency flown (0.4 s)."""
 
+RATE_S = 0.03
+"""A pitch rate is the mean over this time before and after, which averages the noise of single attitude messages."""
+
 JUMP_WITHIN_S = 1.0
 """After a longer gap between two positions the vehicle's own manoeuvres hide a jump."""
 
@@ -111,6 +114,14 @@ class PoseHistory:
     def position_gap_s(self, t_s: float) -> float:
         """The same of the position messages."""
         return gap_s(self.positions, position_time, t_s)
+
+    def pitch_rate(self, t_s: float) -> float:
+        """Return the pitch rate about `t_s`, rad/s; 0 unless two attitudes are known around it."""
+        ends = [bracket(self.attitudes, attitude_time, t_s + side * RATE_S) for side in (-1, 1)]
+        (from_s, before), (to_s, after) = (
+            (blend(a.attitude_t_s, b.attitude_t_s, part), blend(a.pitch_rad, b.pitch_rad, part)) for a, b, part in ends
+        )
+        return (after - before) / (to_s - from_s) if 0.0 < to_s - from_s < JUMP_WITHIN_S else 0.0
 
     def at(self, t_s: float) -> Pose:
         """Return the pose at `t_s`, interpolated; beyond the newest message extrapolated for at most EXTRAPOLATE_S.

@@ -51,6 +51,9 @@ class ServoConfig:
     climb: Gains = CLIMB
     approach: Gains = APPROACH
     feed_forward: float = 1.0  # Fraction of the target's own velocity added to the setpoint.
+    velocity_filter_s: float = (
+        0.4  # Time constant for small changes of the target's velocity, which pitching can cause.
+    )
     pitch_filter_s: float = 1.0  # Time constant of the pitch filter: height follows steady flight only.
     abeam_per_s: float = 0.3  # Gain on the angle off abeam in profile.
     abeam_m_s: float = 3.0  # Fastest speed across the line of sight in profile.
@@ -63,7 +66,7 @@ class ServoConfig:
     course_m_s: float = 0.5  # Speed below which a target has no course in profile.
 
     def __post_init__(self) -> None:
-        may_be_zero = ("feed_forward", "pitch_filter_s", "abeam_per_s", "abeam_m_s", "course_m_s")
+        may_be_zero = ("feed_forward", "velocity_filter_s", "pitch_filter_s", "abeam_per_s", "abeam_m_s", "course_m_s")
         require_numbers("servo setting", self, may_be_zero=may_be_zero, any_sign=("orbit_m_s",))
         require_at_most("servo setting", self, MOST)
 
@@ -96,6 +99,9 @@ LEAN_S = 0.5
 """Time constant of the pitch that limits speeding up.  The pitch follows the desired speed half a second late, by the
 gate's ramp and the autopilot's response: fed back unfiltered, it swings once a second."""
 
+CHANGES_M_S = 0.25
+"""Changes of the target's velocity well above this bypass the filter: the target sets off, stops or turns."""
+
 STEEPEST_RAD = math.radians(75.0)
 """Steeper lines of sight are clipped to this: the tangent of a vertical one is infinite."""
 
@@ -115,6 +121,7 @@ class Servo:
     aside: Pid = field(init=False)  # top-down: as `approach`, to the right
     pitch_rad: float | None = None
     lean_rad: float = 0.0  # the pitch, filtered by LEAN_S
+    moves: tuple[float, float] | None = None  # the target's velocity north and east, filtered by velocity_filter_s
     t_s: float = NEVER
     wanted: Wanted = AS_SET
     kept: KeptStandoff = NOT_KEPT
@@ -155,11 +162,12 @@ class Servo:
 
     def desired(self, estimate: Estimate, state: VehicleState, dt: float) -> Setpoint:
         """Return the velocity at which the vehicle's position should move; `state` has that at which it moves now."""
+        steady = self.steadied(estimate, dt)
         if self.config.mode is ServoMode.TOP_DOWN:
-            return self.above(estimate, state, dt)
-        along, across = sight_components(estimate, state.yaw_rad)
+            return self.above(steady, state, dt)
+        radial, sideways = self.accompany(steady, state, *sight_components(steady, state.yaw_rad), dt)
+        _, across = sight_components(estimate, state.yaw_rad)
         forward, right, _ = state.body_velocity_m_s()
-        radial, sideways = self.accompany(estimate, state, along, across, dt)
         # The line of sight turns when the target or the vehicle moves across it.
         turning = (across - ned_to_heading(forward, right, estimate.azimuth_rad)[1]) / max(estimate.range_m, 1.0)
         with_target = self.config.feed_forward * turning
@@ -167,6 +175,19 @@ class Servo:
         yaw_rate = self.yaw.update(estimate.azimuth_rad, -estimate.azimuth_rad, dt, flown) + with_target
         down = self.descend(estimate, state, dt)
         return Setpoint(*heading_to_ned(radial, sideways, estimate.azimuth_rad), down, yaw_rate)
+
+    def steadied(self, estimate: Estimate, dt: float) -> Estimate:
+        """Return the estimate with the target's velocity low-pass filtered; large changes are filtered less.
+
+        While the vehicle pitches, an image whose time is wrong by 10 ms makes the target appear to move.  Fed forward
+        unfiltered, that motion pitches the vehicle again: a limit cycle.
+        """
+        n, e = self.moves or (estimate.north_m_s, estimate.east_m_s)
+        north, east = estimate.north_m_s - n, estimate.east_m_s - e
+        slow_s = self.config.velocity_filter_s / (1.0 + (math.hypot(north, east) / CHANGES_M_S) ** 2)
+        part = dt / (slow_s + dt) if dt > 0 else 0.0
+        self.moves = n + part * north, e + part * east
+        return replace(estimate, north_m_s=self.moves[0], east_m_s=self.moves[1])
 
     def want(self, wanted: Wanted) -> None:
         """Use the geometry that a person wants; a new mode begins without what was integrated in the old one."""

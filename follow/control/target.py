@@ -18,17 +18,16 @@ from follow.control.joint_filter import (
     Motion,
     Sight,
     corrected,
-    height_row,
     innovation,
     moved,
     predicted,
     started,
-    with_size,
 )
 from follow.control.pose_history import Pose, PoseHistory
 from follow.control.regain import Candidate, PathDistance, Regain, distance_to_segment, next_look
+from follow.control.seen_from import seen_from
 from follow.control.turning import Turning, turned_on
-from follow.geometry import Array, Intrinsics, camera_to_ned, project, rays, undistort, wrap
+from follow.geometry import Array, Intrinsics, camera_to_ned, project, rays, undistort
 from follow.messages import NEVER, Estimate, ImageMotion, VehicleState
 from follow.ranges import require_numbers
 from follow.selection import Detections
@@ -54,6 +53,7 @@ class TargetConfig:
     middle_fraction: float = 0.5  # Height of the box's middle over the ground, as a fraction of the box's: a car 0.15.
     bearing_std_rad: float = 0.007  # White error of a bearing: one to two pixels at 80 degrees in 640 columns.
     box_relative_std: float = 0.06  # White error of the box's height, as a fraction: steps of 3 %, and gait.
+    pitching_std_s: float = 0.05  # Error of a vertical bearing per pitch rate: covers image times wrong by some 20 ms.
     speed_std_m_s: float = 3.0  # Speed of the target expected at the start: that of a runner.
     motion: Motion = field(default_factory=Motion)
     ground: GroundTrust = field(default_factory=GroundTrust)
@@ -80,6 +80,7 @@ class TargetConfig:
 
     def __post_init__(self) -> None:
         may_be_zero = (
+            "pitching_std_s",
             "lost_after_s",
             "confirm",
             "confirm_fraction",
@@ -232,7 +233,9 @@ class Target:
                 return True
             if not self.plausible(f, sight, pose, self.noise(box)):
                 f = self.start(sight, t_s, pose, f)
-            self.filter = corrected(f, pose.position_ned, sight, self.noise(box, track.psr))
+            self.filter = corrected(
+                f, pose.position_ned, sight, self.noise(box, track.psr, self.motion.pitch_rate(t_s))
+            )
         if track.psr > 0:  # the first box, which a person drew, has no response
             self.accepted += 1
             self.usual_psr += max(c.psr_rate, 1.0 / self.accepted) * (track.psr - self.usual_psr)
@@ -242,14 +245,18 @@ class Target:
         self.turning.add(self.filter)
         return True
 
-    def noise(self, box: Box, psr: float = math.inf) -> Array:
+    def noise(self, box: Box, psr: float = math.inf, pitch_rate_rad_s: float = 0.0) -> Array:
         """(3,) standard deviations of a box's white errors.
 
         They grow for a box that the image's border cuts, and for one whose response is less sharp than usual: as an
-        occlusion begins, the box drifts onto the occluder.
+        occlusion begins, the box drifts onto the occluder.  While the vehicle pitches, the vertical bearing's
+        error grows with the pitch rate: an image with a wrong time shifts the target up or down, and without this the
+        servo would follow that apparent motion and pitch the vehicle again.
         """
         cut = 1.0 if within(box, self.camera) else CUT
-        return self.config.noise * max(cut, self.usual_psr / psr if psr > 0 else 1.0)
+        white = self.config.noise * max(cut, self.usual_psr / psr if psr > 0 else 1.0)
+        white[1] = math.hypot(white[1], self.config.pitching_std_s * pitch_rate_rad_s)
+        return white
 
     def start(self, sight: Sight, t_s: float, pose: Pose, before: JointFilter | None = None) -> JointFilter:
         """Start the filter: range by the size's prior, or after a loss by the size learnt `before`.
@@ -360,41 +367,7 @@ class Target:
             return Estimate(state.t_s, 0.0, self.down_rad - state.pitch_rad, FAR_M, FAR_M)
         pose = self.motion.at(state.t_s)
         f = self.carried(state.t_s) if self.config.compensate else self.filter
-        seen = seen_from(f, pose, self.middle, self.seen_t_s, self.seen_ned, self.config, self.sources)
+        seen = seen_from(f, pose, self.middle, self.seen_t_s, self.seen_ned, self.config.near_sigmas, self.sources)
         seen = replace(seen, doubt=self.regain.doubt(state.t_s), other=self.regain.sighting(pose))
         north, east, down = (float(v) for v in self.motion.drift.velocity)
         return replace(seen, drift_north_m_s=north, drift_east_m_s=east, drift_down_m_s=down)
-
-
-def seen_from(
-    f: JointFilter, pose: Pose, middle: float, seen_t_s: float, seen_ned: Array, c: TargetConfig, sources: GroundSources
-) -> Estimate:
-    """The filter's state as an Estimate for a vehicle at `pose`."""
-    here = pose.position_ned
-    p = with_size(f, here, np.array([pose.north_m_s, pose.east_m_s]))
-    away = f.mean[:3] - here
-    range_m = max(math.hypot(away[0], away[1]), 0.1)
-    toward = away[:2] / range_m
-    range_std = math.sqrt(max(float(toward @ p[:2, :2] @ toward), 0.0))
-    height, row = height_row(f, here, middle)
-    seen_away = seen_ned[:2] - here[:2]
-    return Estimate(
-        pose.t_s,
-        wrap(math.atan2(away[1], away[0]) - pose.yaw_rad),
-        math.atan2(away[2], range_m),
-        range_m,
-        range_std,
-        float(f.mean[3]),
-        float(f.mean[4]),
-        seen_t_s,
-        range_near_m=sources.near_ratio * range_m * math.exp(-c.near_sigmas * range_std / range_m),
-        velocity_covariance=(float(p[3, 3]), float(p[3, 4]), float(p[4, 4])),
-        ground_below_m=height,
-        ground_std_m=math.sqrt(max(float(row @ p @ row), 0.0)),
-        target_height_m=2 * (height - float(away[2])),
-        size_m=f.size_m,
-        size_std_m=f.size_m * math.sqrt(f.size_var),
-        seen_range_m=math.hypot(seen_away[0], seen_away[1]),
-        seen_azimuth_rad=wrap(math.atan2(seen_away[1], seen_away[0]) - pose.yaw_rad),
-        contradiction=sources.contradiction,
-    )

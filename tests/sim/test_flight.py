@@ -262,6 +262,35 @@ def test_a_live_scene_extrapolates_the_vehicle_by_its_velocity_within_a_bound(ag
     assert seen.yaw_rad == pytest.approx(1.0 * min(age_s, TURNED_S))
 
 
+class Nods(SimLink):
+    """Its attitudes come 30 times a second and up to 33 ms old, while the vehicle pitches and rolls."""
+
+    now_s = 0.0
+
+    def state(self) -> VehicleState:
+        attitude_s = math.floor(self.now_s * 30 + 1e-6) / 30
+        roll, pitch = tilts(attitude_s)
+        return replace(super().state(), t_s=self.now_s, attitude_t_s=attitude_s, roll_rad=roll, pitch_rad=pitch)
+
+
+def tilts(t_s):
+    """Roll and pitch: 3 degrees at 1 Hz."""
+    return 0.05 * math.cos(math.tau * t_s), 0.05 * math.sin(math.tau * t_s)
+
+
+def test_a_live_scene_tilts_as_the_vehicle_at_the_time_of_the_image():
+    """Drawn with the newest attitude it was 11 ms late, and the vehicle that followed what it saw there swung."""
+    link = Nods(Vehicle(Autopilot.PX4, VehicleTruth(down_m=-6.0)))
+    flight = LiveFlight(link, VehicleTruth(down_m=-6.0))
+    off = []
+    for n in range(200):
+        link.now_s = 100.0 + n * 0.0137
+        drawn = flight.advance(0.0)
+        off.append(np.subtract((drawn.roll_rad, drawn.pitch_rad), tilts(drawn.t_s)))
+    newest = 0.05 * math.tau / 30  # how far off the newest attitude is at most, 1/30 s old
+    assert np.abs(off[10:]).max() < newest / 3
+
+
 @pytest.mark.parametrize("kind", list(Kind))
 def test_an_actor_keeps_its_speed_and_its_sideways_acceleration(kind):
     gait = GAITS[kind]

@@ -110,6 +110,7 @@ class GroundFlight:
     limits: Limits = field(default_factory=Limits)
     visible: Callable[[float], bool] = lambda t_s: True
     grown: Callable[[float], float] = lambda t_s: 1.0  # by what factor the tracker's box is wrong
+    late_s: float = 0.0  # by how much an image is older than its time says
     parallax: bool = False  # whether the ground's motion in the image is measured
     wanted: Wanted = AS_SET  # from WANTED_S on
     state: Callable[[VehicleState], VehicleState] = lambda state: state  # what the estimator hears
@@ -121,7 +122,7 @@ class GroundFlight:
         """The target's box in the present image, with its errors; None out of view."""
         m, t_s = self.link.vehicle.motion, self.link.vehicle.motion.t_s
         north, east = self.path(t_s)
-        rotation = camera_to_ned(self.down_rad, m.roll_rad, m.pitch_rad, m.yaw_rad)
+        rotation = camera_to_ned(self.down_rad, *self._attitude(m))
         middle = [[north, east, self.ground(north, east) - self.size_m[1] / 2]]
         pixels, depth = project(LENS, rotation, (m.north_m, m.east_m, m.down_m), middle)
         if not self.visible(t_s) or depth[0] < 0.5:
@@ -131,6 +132,15 @@ class GroundFlight:
         scale = LENS.fx / depth[0] * math.exp(grown) * self.grown(t_s)
         inside = 0 < x < LENS.width and 0 < y < LENS.height
         return Box.around(float(x), float(y), self.size_m[0] * scale, self.size_m[1] * scale) if inside else None
+
+    def _attitude(self, now: VehicleTruth) -> tuple[float, float, float]:
+        """Roll, pitch and yaw `late_s` ago; extrapolated if it is negative."""
+        before = next((m for m in reversed(self.truths) if m.t_s <= now.t_s - abs(self.late_s)), now)
+        part = self.late_s / max(now.t_s - before.t_s, FRAME_S)
+        roll, pitch = (
+            n + part * (b - n) for n, b in ((now.roll_rad, before.roll_rad), (now.pitch_rad, before.pitch_rad))
+        )
+        return roll, pitch, now.yaw_rad + part * math.remainder(before.yaw_rad - now.yaw_rad, math.tau)
 
     def _errors(self) -> np.ndarray:
         if self.seed is None:
