@@ -51,9 +51,7 @@ class ServoConfig:
     climb: Gains = CLIMB
     approach: Gains = APPROACH
     feed_forward: float = 1.0  # Fraction of the target's own velocity added to the setpoint.
-    velocity_filter_s: float = (
-        0.4  # Time constant for small changes of the target's velocity, which pitching can cause.
-    )
+    velocity_filter_s: float = 0.4  # Time constant for small changes of the target's velocity: pitching causes some.
     pitch_filter_s: float = 1.0  # Time constant of the pitch filter: height follows steady flight only.
     abeam_per_s: float = 0.3  # Gain on the angle off abeam in profile.
     abeam_m_s: float = 3.0  # Fastest speed across the line of sight in profile.
