@@ -13,8 +13,9 @@ Each of these cases could restart a tracker whose box is right, and has its own 
   they would be if they had stayed on the ground.
 * A standing person leans in the image as the camera moves, because the head moves over the ground behind and the feet
   do not: motion that decreases downwards is not a departure.
-* A person gets off a standing vehicle: most points that stay must have a colour that is also found around the box, as
-  ground has.
+* A person gets off a standing vehicle, or leaves somebody who stands: most points that stay must have a colour that is
+  also found around the box, as ground has, and the others must be few beside those that moved.  In grey images that
+  says too little, so that nothing is corrected there.
 
 Once the points that moved agree with the tracker's box, the box is confirmed and the search ends.
 How each number was set is in docs/notebook.md, "A loose first box".
@@ -121,7 +122,7 @@ def _moved_off(points: OffGround) -> Moved | None:
     spread = (high - low) / points.sides + points.grown / POINTS  # a point stands for what is around it
     middle, scale = (low + high) / 2, math.sqrt(spread[0] * spread[1])
     box = Box.around(float(middle[0]), float(middle[1]), *(scale * points.sides).tolist())
-    return Moved(box, spread / points.grown, points.look_like_ground(still))
+    return Moved(box, spread / points.grown, points.leave_ground(moved, still))
 
 
 def _leans(down: Float64, share: Float64) -> bool:

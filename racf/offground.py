@@ -33,6 +33,9 @@ GROUND_PX, GROUND = 0.75, 0.01  # how near: px of the patch or sides
 # fraction of the ring's points have another one.
 SAME_LAB, SAME_RING = 6.0, 0.75
 SAME_SHARE = 0.7  # least fraction of points with a colour of the ring
+GREY_LAB = 128.0  # both chroma channels of grey in 8-bit Lab
+OTHERS = 1 / 3  # most points without such a colour, of those that moved: more are another body that stays
+COLOURLESS = 4.0  # distance from grey (8-bit Lab) below which brightness alone is left, and tells too little
 SAME_LOOK = 0.6  # most difference of their looks from the first, squared, by the first's contrast: a correlation of 0.7
 ALIKE = 0.35  # how near points are to a common motion, of it
 NOW, LATELY = 5, 30  # frames
@@ -106,9 +109,10 @@ class OffGround:
         here, there = (float(np.nansum((first - self._looked(places)) ** 2)) for places in (at, at - off))
         return here <= SAME_LOOK * min(there, float(np.nansum(first**2)))
 
-    def look_like_ground(self, points: Bool) -> bool:
-        """Whether the colours of most points are also found on the ring, in the first image; a vehicle's are not."""
-        return bool(np.mean(self._ground_like[points]) >= SAME_SHARE)
+    def leave_ground(self, moved: Bool, still: Bool) -> bool:
+        """Whether what stays is ground: most points have a colour of the ring, the others are few beside what moved."""
+        others = np.sum(still & ~self._ground_like)
+        return bool(np.mean(self._ground_like[still]) >= SAME_SHARE and others <= OTHERS * np.sum(moved))
 
     def come_from_outside(self, points: Bool) -> bool:
         """Whether something around the box moved lately as these points do now."""
@@ -137,7 +141,7 @@ class OffGround:
         return ring[np.all((ring > 3) & (ring < np.array(self._size) - 3), axis=1)]
 
     def _like_ring(self, planes: UInt8) -> Bool:
-        """(n,): whether the mean colour around each point is near one on the ring; all False without a ring."""
+        """(n,): whether the mean colour around each point is near one on the ring; all False without ring or colour."""
         ring = self._ring()
         if len(ring) < LEAST_RING:
             return np.zeros(len(self.at), bool)
@@ -148,6 +152,8 @@ class OffGround:
         inside, outside = (
             means[np.clip(places[:, 1], 0, high - 1), np.clip(places[:, 0], 0, wide - 1)] for places in (at, around)
         )
+        if max(np.abs(means[..., 1:] - GREY_LAB).max() for means in (inside, outside)) < COLOURLESS:
+            return np.zeros(len(self.at), bool)
         apart = np.linalg.norm(outside[:, None] - outside[None], axis=2)
         np.fill_diagonal(apart, np.inf)
         near = max(SAME_LAB, float(np.quantile(apart.min(axis=1), SAME_RING)))

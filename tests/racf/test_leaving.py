@@ -124,11 +124,27 @@ def test_a_box_at_the_images_edge_and_a_tiny_one_are_looked_at_without_an_error(
             _ = tracker.update(image) if k else tracker.init(image, box)
 
 
-def test_grey_images_tell_the_same():
+@pytest.mark.parametrize("channels", [1, 3])
+def test_in_grey_images_no_box_is_given_up(channels):
+    """Brightness alone does not tell ground from a body that stays."""
     grey = ((cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), box) for image, box in scene(lambda k: (1.1 * k, 0.0)))
-    tracks, truth = tracked(grey, (2.0, 0.0, 0.0))
-    assert sum(track.restarted for track in tracks) == 1
-    assert is_on(tracks[-1].box, truth[-1])
+    images = ((image if channels == 1 else cv2.merge([image] * 3), box) for image, box in grey)
+    assert not any(track.restarted for track in tracked(images, (2.0, 0.0, 0.0))[0])
+
+
+def test_who_leaves_a_standing_person_is_not_the_target():
+    """Most of what stays is ground at the box's corners; the few points of the person must still count."""
+    person = np.uint8(0.5 * texture(50, 14, 2.0, 0, 255) + np.array([90, 20, 20]))
+
+    def image_at(k: int) -> np.ndarray:
+        image = cv2.warpAffine(GROUND, np.array([[1, 0, -200], [0, 1, -100]], float), (COLS, ROWS))
+        image[ROWS // 2 - 25 : ROWS // 2 + 25, COLS // 2 - 23 : COLS // 2 - 9] = person
+        put(image, TARGET, COLS / 2 + 18 + 1.1 * max(k - 8, 0), ROWS / 2 + 12)
+        return image
+
+    tracker = Racf(TIGHTEN)
+    tracker.init(image_at(0), Box.around(COLS / 2, ROWS / 2, 72, 76))
+    assert not any(tracker.update(image_at(k)).restarted for k in range(1, 60))
 
 
 def test_without_the_switch_nothing_is_looked_for():
@@ -182,7 +198,7 @@ class Points:
     def look_the_same(self, _points: np.ndarray) -> bool:
         return True
 
-    def look_like_ground(self, _points: np.ndarray) -> bool:
+    def leave_ground(self, _moved: np.ndarray, _still: np.ndarray) -> bool:
         return True
 
 
