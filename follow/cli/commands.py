@@ -92,8 +92,8 @@ class SimCommand:
     """Autopilot whose vehicle flies. Default: px4; with --all both."""
     all: bool = False
     """Fly every scenario, in parallel, and print a table."""
-    seeds: int = 5
-    """Number of seeds for each scenario with --all, counting from --seed."""
+    seeds: int | None = None
+    """With --all: number of seeds for each scenario, counting from --seed. Default: 5."""
     dask: str | None = None
     """With --all: address of the scheduler of a Dask cluster to fly on (needs the extra `dask`). The files of a flight
     stay on its worker's disk."""
@@ -137,8 +137,10 @@ class SimCommand:
         require_standoff(self.config)
         if self.seed < 0:
             raise ValueError(f"--seed is 0 or more, not {self.seed}")
-        if self.seeds < 1:
+        if self.seeds is not None and self.seeds < 1:
             raise ValueError(f"--seeds is 1 or more, not {self.seeds}")
+        if self.seeds is not None and not self.all:
+            raise ValueError("--seeds needs --all: a single flight has the one of --seed")
         if self.dask is not None and not self.all:
             raise ValueError("--dask needs --all: a single flight runs here")
         if self.all and (self.page is not None or self.ground is not None):

@@ -37,6 +37,7 @@ from sim.scenarios import SCENARIOS, Scenario, build
 from sim.score import FlightScore, ScoredTick, score
 
 OUT = Path("out/sim")
+SEEDS = 5  # of each scenario with --all, unless --seeds says otherwise
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,7 +213,7 @@ def sim_all(command: SimCommand, configs: Mapping[str, Config], bare: Any, termi
         FlightSpec(scenario, seed, autopilot, command.tracker, configs[scenario], Path())
         for scenario in scenarios
         for autopilot in autopilots
-        for seed in range(command.seed, command.seed + command.seeds)
+        for seed in range(command.seed, command.seed + (command.seeds or SEEDS))
     ]
     out = command.out or OUT
     scenes = {name: from_scene(name, config, bare) for name, config in configs.items()}

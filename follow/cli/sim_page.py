@@ -38,7 +38,7 @@ from sim.camera import SceneCamera
 from sim.piloted import PilotedLink, RealTimePace
 from sim.scenarios import SCENARIOS, build
 
-LONG_S = 1800.0  # length of the target's path: longer than anybody watches a demonstration
+PATH_S = 1800.0  # length of the target's path: longer than anybody watches a demonstration
 ROUND_S = 1 / 30
 
 
@@ -74,12 +74,12 @@ class RealTimeScene:
 
 def scene_in_real_time(flight: FlightSpec) -> RealTimeScene:
     """The scene of a flight, with its resolved settings."""
-    scenario = replace(SCENARIOS[flight.scenario], duration_s=LONG_S)
+    scenario = replace(SCENARIOS[flight.scenario], duration_s=PATH_S)
     believed = believed_camera(scenario, flight.autopilot, flight.config.camera)
     drawn = scene_camera(scenario, flight.autopilot, flight.drawn or flight.config.camera)
     _, still, world = build(scenario, flight.seed, flight.autopilot, drawn)
     link = PilotedLink(still.vehicle, world.target, scenario.standoff_m, scenario.height_m)
-    camera = SceneCamera(world, RealTimePace(link), drawn, LONG_S, flight.seed)
+    camera = SceneCamera(world, RealTimePace(link), drawn, PATH_S, flight.seed)
     config = resolve(flight.config, believed.intrinsics, believed.down_rad, believed.latency_s)
     about = (
         f"# follow sim {flight.scenario} in real time\n\n{scenario.about}; seed {flight.seed}, {flight.autopilot.value}"

@@ -165,6 +165,7 @@ def test_ctrl_c_writes_everything_up_to_there(capfd, footage, tmp_path, monkeypa
         ((), 2, "replay"),
         (("sim", "--seed", "-1"), 2, "--seed"),
         (("sim", "--all", "--seeds", "0"), 2, "--seeds"),
+        (("sim", "walker", "--seeds", "3"), 2, "--seeds needs --all"),
         (("run", "--link", "udpin:127.0.0.1:0"), 2, "--target"),
         (("run", "--link", "udpin:127.0.0.1:0", "--target", "1,2,3"), 2, "1,2,3"),
         (("run", "--link", "udpin:127.0.0.1:0", "--camera", "scene:nowhere"), 2, "nowhere"),
