@@ -1,11 +1,11 @@
 """Another tracker's boxes, checked by a tracker of ours: for trackers that always return a box, even of a lost target.
 
 Ours finds the target independently, with its confidence, gate and re-detection, and takes only the target's size from
-the other one.  So their errors are independent: of the frames in which NanoTrack and `racf,robust` agreed, the target
-was elsewhere in 0.7 %; NanoTrack alone is elsewhere in 14 % (twenty sequences, docs/confidence.md).  If both agree, the
-result is the other tracker's box; if not, the target counts as not found.  After a lasting disagreement ours prevails,
-because it has a confidence: the other tracker starts again on our box.  If the other tracker fails, returns no box, or
-reports that it has not found the target, ours follows alone.
+the other one.  So they are rarely wrong at the same place: of the frames in which NanoTrack and `racf,robust` agreed,
+the target was elsewhere in 0.7 %; NanoTrack alone is elsewhere in 14 % (twenty sequences, docs/confidence.md).  If
+both agree, the result is the other tracker's box; if not, the target counts as not found.  After a lasting
+disagreement ours prevails, because it has a confidence: the other tracker starts again on our box.  If the other
+tracker fails, returns no box, or reports that it has not found the target, ours follows alone.
 """
 
 import logging

@@ -33,15 +33,15 @@ from racf.offground import ALIKE, INSIDE, POINTS, OffGround
 UInt8 = NDArray[np.uint8]
 Float64 = NDArray[np.float64]
 
-LONGEST, FIRST = 200, 3  # frames for which it is looked, and before anything is told
-LEAST_PX, LEAST, NOISES = 2.0, 0.05, 6.0  # what moved: px of the patch, sides, and times the ground's own errors so far
-ALIKE_PX = 1.0  # the same, px of the patch at least
-KNOWN = 1 / 3  # least share of the points that are still followed: fewer do not speak for the box
-MOVED, STILL, NEITHER = 0.06, 0.08, 0.4  # least share of all points, twice, and most of those left
-SMALLEST, LARGEST = 0.15, 0.8  # of the first box: area of what moved, and either side
-SMALLER, BESIDE = 0.6, 0.3  # area of the tracker's box below which it is loose, or sides by which it is off
-LEANS = 0.4  # of the motion, by which it falls off from the first box's top to its bottom, in what stands and leans
-TOLD, AGREED = 2, 3  # frames in a row that must tell of another box, and frames that prove the tracker's
+LONGEST, FIRST = 200, 3  # most frames until the search ends; first frame that may give a result
+LEAST_PX, LEAST, NOISES = 2.0, 0.05, 6.0  # least departure: px of the patch, sides, times the ground's noise
+ALIKE_PX = 1.0  # least tolerance of a common motion, px of the patch
+KNOWN = 1 / 3  # least fraction of the points still tracked: with fewer the search ends
+MOVED, STILL, NEITHER = 0.06, 0.08, 0.4  # least fractions of points that moved and that stay; most of neither
+SMALLEST, LARGEST = 0.15, 0.8  # of the first box: least area, largest width and height of what moved
+SMALLER, BESIDE = 0.6, 0.3  # of the tracker's box: area below which it is loose, or offset in sides
+LEANS = 0.4  # largest decrease of the motion from the box's top to its bottom: more is a standing body that leans
+CONSECUTIVE, AGREED = 2, 3  # frames with another box before a restart; frames that confirm the tracker's box
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,22 +67,22 @@ class Moved:
 
 
 class Leaving:
-    """Follows points of the first box, and tells the target's box when it is another than the tracker's."""
+    """Tracks points of the first box; returns the target's box if the tracker's is wrong."""
 
     def __init__(self) -> None:
         self.forget()
 
     def forget(self) -> None:
-        """The tracker's box is believed from now on."""
+        """End the search: the tracker's box is confirmed, or nothing can be known any more."""
         self._points: OffGround | None = None
 
     def start(self, image: UInt8, box: Box) -> None:
-        """The first box in its image, (rows, columns[, 3]) in BGR or grey."""
+        """Begin with the first box in its image, (rows, columns[, 3]) in BGR or grey."""
         self._points = OffGround(image, box)
-        self._frames, self._told, self._agreed = 0, 0, 0
+        self._frames, self._consecutive, self._agreed = 0, 0, 0
 
     def look(self, image: UInt8, box: Box) -> Box | None:
-        """The next image, in which the tracker is at `box`; the target's box if it is another."""
+        """Take the next image, in which the tracker is at `box`; return the target's box if it is another one."""
         points = self._points
         if points is None:
             return None
@@ -90,12 +90,14 @@ class Leaving:
         points.follow(image, box)
         moved = _moved_off(points) if self._frames >= FIRST else None
         another = moved is not None and moved.is_another(box)
-        self._told = self._told + 1 if moved is not None and another and moved.is_within() and moved.off_ground else 0
+        self._consecutive = (
+            self._consecutive + 1 if moved is not None and another and moved.is_within() and moved.off_ground else 0
+        )
         self._agreed += moved is not None and not another
         few = np.mean(points.seen) < KNOWN
-        if few or self._frames >= LONGEST or self._told >= TOLD or self._agreed >= AGREED:
+        if few or self._frames >= LONGEST or self._consecutive >= CONSECUTIVE or self._agreed >= AGREED:
             self.forget()
-        return moved.box if moved is not None and self._told >= TOLD else None
+        return moved.box if moved is not None and self._consecutive >= CONSECUTIVE else None
 
 
 def _moved_off(points: OffGround) -> Moved | None:

@@ -1,8 +1,8 @@
-"""Points of a box, followed from frame to frame, and how far each moved over the ground since the first.
+"""Tracks points of a box and measures how far each has moved over the ground since the first frame.
 
-The ground is what most of a ring around the box agrees on, a similarity from one frame to the next (RANSAC); the ring's
-points are new in each frame, for the ground they begin on is soon out of the image, those in the box are the same ones
-until they are lost.  The flow is that of [Lucas and Kanade 1981], there and back as in `racf.flow`.
+The ground's motion is the similarity (RANSAC) that most points of a ring around the box agree on.  The ring has new
+points in each frame, because the first ones soon leave the image; the points in the box stay the same until they are
+lost.  The optical flow is that of [Lucas and Kanade 1981], forwards and backwards as in `racf.flow`.
 """
 
 import math
@@ -23,23 +23,23 @@ Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
 SIDE_PX, MOST_ZOOM = 72.0, 2.0  # the first box is drawn to this root of its area, but never larger than that
-POINTS, EDGE = 8, 9  # in the box in each direction, and along each edge of the ring
+POINTS, EDGE = 8, 9  # points in the box in each direction, and along each edge of the ring
 AROUND = 0.35  # sides between the box and the ring, at least
 LOOK = 4  # half the side of the square by which a point's look is judged, px of the patch
-BACK_PX = 1.0  # furthest from where a point was, by the flow there and back
-LEAST_RING, LEAST_GROUND = 6, 0.4  # points of the ring, and share of them that agree on how the ground moved
-GROUND_PX, GROUND = 0.75, 0.01  # how near: px of the patch or sides
+BACK_PX = 1.0  # largest forward-backward error of the flow, px of the patch
+LEAST_RING, LEAST_GROUND = 6, 0.4  # least points of the ring, and fraction of them that agree on the motion
+GROUND_PX, GROUND = 0.75, 0.01  # distance within which they agree: px of the patch, or sides
 # Largest distance (8-bit Lab) at which two colours are the same; on varied ground, the distance within which this
 # fraction of the ring's points have another one.
 SAME_LAB, SAME_RING = 6.0, 0.75
 SAME_SHARE = 0.7  # least fraction of points with a colour of the ring
 GREY_LAB = 128.0  # both chroma channels of grey in 8-bit Lab
-OTHERS = 1 / 3  # most points without such a colour, of those that moved: more are another body that stays
-COLOURLESS = 4.0  # distance from grey (8-bit Lab) below which brightness alone is left, and tells too little
-SAME_LOOK = 0.6  # most difference of their looks from the first, squared, by the first's contrast: a correlation of 0.7
-ALIKE = 0.35  # how near points are to a common motion, of it
+OTHERS = 1 / 3  # most staying points without such a colour, per point that moved: more are a second body
+COLOURLESS = 4.0  # distance from grey (8-bit Lab) below which only brightness differs, which is not enough
+SAME_LOOK = 0.6  # largest squared difference from the first look, over its contrast: a correlation of 0.7
+ALIKE = 0.35  # largest distance from a common motion, as a fraction of it
 NOW, LATELY = 5, 30  # frames
-OUTSIDE = 3  # points of the ring that moved so in these frames, all in all
+OUTSIDE = 3  # ring points with the same motion, over LATELY frames, that show an object from outside
 
 
 def _places(across: Float64) -> Float64:
@@ -47,7 +47,7 @@ def _places(across: Float64) -> Float64:
     return np.stack(np.meshgrid(across, across), axis=-1).reshape(-1, 2)
 
 
-# In sides of the box, from its centre, and of the ring.
+# Positions in sides, from the box's centre: of the grid, and of the ring.
 INSIDE = _places((np.arange(POINTS) + 0.5) / POINTS - 0.5)
 _RING = np.array([at for at in _places(np.linspace(-1.0, 1.0, EDGE)) if np.abs(at).max() > 1.0 - 1e-6])
 _LOOK = np.arange(-LOOK, LOOK + 1)
@@ -57,8 +57,8 @@ _SEARCH = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)
 class OffGround:
     """A grid of points (n, 2) of the box in `image`, (rows, columns[, 3]) in BGR or grey, in its pixels.
 
-    at: where they are; off: how far from where the ground would have taken them; seen: which are still followed.
-    grown: the ground's size by that at the start; noise: px that its points were off so far, one frame upon the other.
+    at: their positions; off: their motion over the ground since the start; seen: which are still tracked.
+    grown: the ground's scale since the start; noise: accumulated error of the ground's points, px.
     """
 
     def __init__(self, image: UInt8, box: Box) -> None:
@@ -79,7 +79,7 @@ class OffGround:
         self._ground_like = self._like_ring(planes)
 
     def follow(self, image: UInt8, box: Box) -> None:
-        """Follow them into the next image, in which the tracker is at `box`."""
+        """Track them into the next image, in which the tracker is at `box`."""
         there = np.array([box.centre_x, box.centre_y])
         after = _grey(self._sampled(image, there))
         ring = self._ring()
@@ -115,14 +115,14 @@ class OffGround:
         return bool(np.mean(self._ground_like[still]) >= SAME_SHARE and others <= OTHERS * np.sum(moved))
 
     def come_from_outside(self, points: Bool) -> bool:
-        """Whether something around the box moved lately as these points do now."""
+        """Whether an object around the box recently moved like these points do now."""
         steps = [np.median(step[points], axis=0) for step in self._steps]
         step = max(steps, key=lambda step: float(np.hypot(*step)))  # a slow one may rest in between
         near = ALIKE * float(np.hypot(*step))
         return sum(int(np.sum(np.linalg.norm(moved - step, axis=1) < near)) for moved in self._around) >= OUTSIDE
 
     def _ground(self, before: Float64, after: Float64) -> Float64 | None:
-        """The similarity (2, 3) of most of the ring; None where it does not move as one."""
+        """The similarity (2, 3) of most of the ring; None if it does not move as one."""
         if len(before) < LEAST_RING:
             return None
         within = max(GROUND_PX / self.zoom, GROUND * self.side)
@@ -135,7 +135,7 @@ class OffGround:
         return ground
 
     def _ring(self) -> Float64:
-        """(n, 2): places around the box, inside the image."""
+        """(n, 2): positions around the box, inside the image."""
         away = np.maximum(self.sides / 2 + AROUND * self.side, self.sides / 2 + (self._window / 2 + 1) / self.zoom)
         ring = self._centre + _RING * away
         return ring[np.all((ring > 3) & (ring < np.array(self._size) - 3), axis=1)]

@@ -71,7 +71,7 @@ class ServoConfig:
 
 FAR_BELOW = "the target is far below: nearer, it would leave the image"
 UNCERTAIN = "its range is uncertain: it may be nearer than it seems"
-"""Why a larger stand-off is kept than is wanted."""
+"""Why the vehicle keeps a larger stand-off than the desired one."""
 
 
 FARTHEST = 2.5
@@ -98,7 +98,8 @@ LEAN_S = 0.5
 gate's ramp and the autopilot's response: fed back unfiltered, it swings once a second."""
 
 CHANGES_M_S = 0.25
-"""Changes of the target's velocity well above this bypass the filter: the target sets off, stops or turns."""
+"""At this difference from the filtered velocity the time constant is halved; at larger ones the filter follows ever
+faster, because the target sets off, stops or turns."""
 
 STEEPEST_RAD = math.radians(75.0)
 """Steeper lines of sight are clipped to this: the tangent of a vertical one is infinite."""
@@ -123,7 +124,7 @@ class Servo:
     t_s: float = NEVER
     wanted: Wanted = AS_SET
     kept: KeptStandoff = NOT_KEPT
-    settings: ServoConfig = field(init=False)  # what is set; `config` is that with what a person wants
+    settings: ServoConfig = field(init=False)  # as configured; `config` also has a person's trims
 
     def __post_init__(self) -> None:
         self.settings = c = self.config
@@ -150,7 +151,7 @@ class Servo:
             return Setpoint()
         desired = self.desired(estimate, positions_rate(estimate, state), dt)
         forward, right = ned_to_heading(estimate.drift_north_m_s, estimate.drift_east_m_s, state.yaw_rad)
-        # The autopilot flies by the velocity that it reports; what its position drifts beside that is taken off.
+        # The autopilot controls the velocity that it reports, so the drift of its position is subtracted.
         return replace(
             desired,
             forward_m_s=desired.forward_m_s - forward,
@@ -229,7 +230,7 @@ class Servo:
         return radial, self.wanted.around_m_s
 
     def in_view(self, radial: float, flown: float, estimate: Estimate) -> float:
-        """Return the speed along the line of sight, less where the lean of speeding up lifts the target out of view."""
+        """Return the speed along the line of sight, reduced if the tilt of acceleration would hide the target."""
         if self.config.top_rad is None or radial <= flown:
             return radial
         above = (self.down_rad - self.lean_rad - estimate.depression_rad) / self.config.top_rad
@@ -237,7 +238,7 @@ class Servo:
         return radial if room == 1.0 else min(radial, flown + room * FASTER_M_S)
 
     def range_error(self, estimate: Estimate) -> float:
-        """Return how much farther than desired the target is, metres, by the nearer of what the ranges say.
+        """Return how much farther than desired the target is, metres, by the nearer of the two ranges.
 
         A vehicle that cannot descend to a target far below keeps it in view from farther away.
         """

@@ -1,7 +1,8 @@
 """Our side of a MAVLink link, without I/O: bytes in, a VehicleState out; setpoints and requests in, packets out.
 
 Rule 1: the vehicle is the PX4 or ArduPilot multirotor whose autopilot (component 1) sends HEARTBEAT.  No other sender
-changes the state (`follow/link/telemetry.py`), not even with its id: it has one address (`follow/link/identity.py`).
+changes the state (`follow/link/telemetry.py`), even with the vehicle's id: only its address counts
+(`follow/link/identity.py`).
 Rule 2: we are component 191 of that vehicle, with a HEARTBEAT each second.
 Rule 3: a mode is requested only by `take_control` and `hold`, and counts only when the autopilot's heartbeat shows it.
 Rule 4: once the vehicle has left the mode that we requested, we have no control until `take_control` is called again.

@@ -6,8 +6,8 @@ motion m of the background is compared with the motion p = r + t that attitude a
     gain = sum(m . p) / sum(p . p)        1: as predicted; 0: frozen; -1: the camera is mounted the wrong way round
 
 Its standard deviation follows from the tracking noise and from the prediction's own error (unknown depth, a late
-attitude).  There is no verdict until the prediction is large against both.  So a hovering vehicle is never
-contradicted, which is safe because it does not move.
+attitude).  There is no verdict until the prediction is large against both.  So a vehicle that does not
+move at all is never contradicted, and then it hurts nobody.
 """
 
 import math

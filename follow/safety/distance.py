@@ -220,7 +220,7 @@ def limit_to_last_seen(
 
 
 def walking(target: Worst, seen: Sighting, state: VehicleState) -> Worst:
-    """An unseen target, assumed to walk towards the vehicle from its last seen position.
+    """An unseen target, assumed to walk towards the vehicle from its nearest possible position when last seen.
 
     A target that may be anywhere is returned unchanged.
     """

@@ -76,7 +76,7 @@ FOLLOWING = (Mode.FOLLOW, Mode.COAST, Mode.SEARCH)
 """The modes in which the vehicle follows its target, or searches for it."""
 
 STEP_S = 0.1
-"""Maximum time step of the ramps: a longer gap between rounds is several."""
+"""Maximum time step of the ramps: a longer gap between rounds is divided into several steps."""
 
 GAP_S = 0.5
 """A longer gap between rounds counts as this: by then the link has paused the stream."""
@@ -91,8 +91,8 @@ UNSEEN_S = 0.15
 """A target not seen for this long, two frames of a slow camera, may be behind a wall where it was last seen."""
 
 STILL_M_S, STANDS_M_S = 0.05, 0.15
-"""A vehicle in BRAKE counts as stopped when the speed last sent is below the first and, unless its data are stale, that
-of a vehicle which obeys below the second.
+"""In BRAKE the vehicle counts as stopped when the speed last sent is below STILL_M_S and, unless data are stale, the
+expected speed of a vehicle that obeys is below STANDS_M_S.
 
 An autopilot that takes over a moving vehicle flies it on or back to a position of its own choice."""
 
@@ -126,7 +126,9 @@ def present_velocity(target: Worst, state: VehicleState, limits: Limits) -> tupl
     """The vehicle's own NED velocity as far as stand-off, altitude band and speed limit permit it to be kept."""
     over = max(math.hypot(state.north_m_s, state.east_m_s) / limits.speed_m_s, 1.0)
     north, east = limit_closing_speed(state.north_m_s / over, state.east_m_s / over, target, limits)
-    fast = max(math.hypot(north, east) / limits.speed_m_s, 1.0)  # a retreat beside a fast motion across
+    fast = max(
+        math.hypot(north, east) / limits.speed_m_s, 1.0
+    )  # a retreat added to a fast sideways motion may exceed the limit
     north, east = north / fast, east / fast
     down = limit_descent(clamped(state.down_m_s, limits.climb_m_s), target, state, limits)
     return north, east, limit_altitude(down, target, state, limits)
@@ -181,7 +183,7 @@ def decide(
     elif authority.mode is not gate.mode and authority.reason.cause is Cause.NOT_OBEYING and is_fresh:
         gate = start_ramps(
             gate, target, state, limits
-        )  # what the vehicle does not fly must not come as a surprise later
+        )  # ramp from the real velocity: no speed that was not flown stays in the setpoint
     gate = replace(gate, authority=authority, t_s=t_s)
     if authority.mode not in STREAMING:
         return gate, Decision(None, authority.mode, notes, authority.reason, authority.release)
