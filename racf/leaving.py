@@ -57,7 +57,7 @@ class Moved:
     off_ground: bool
 
     def is_within(self) -> bool:
-        """Whether it is smaller than the first box all around, as a target in a loose box is; a part of one is not."""
+        """Whether it is narrower and shorter than the first box: so is a target in a loose box, but no part of one."""
         return float(np.prod(self.spread)) > SMALLEST and float(self.spread.max()) < LARGEST
 
     def is_another(self, box: Box) -> bool:
@@ -101,7 +101,7 @@ class Leaving:
 
 
 def _moved_off(points: OffGround) -> Moved | None:
-    """The points that moved off the ground together; None unless others stayed."""
+    """The points that moved off the ground together; None unless other points stayed."""
     side = points.side * points.grown
     least = max(LEAST_PX / points.zoom, LEAST * side, NOISES * points.noise)
     size = np.linalg.norm(points.off, axis=1)
@@ -121,17 +121,17 @@ def _moved_off(points: OffGround) -> Moved | None:
         return None
     spans = points.at[moved]
     low, high = spans.min(axis=0), spans.max(axis=0)
-    spread = (high - low) / points.sides + points.grown / POINTS  # a point stands for what is around it
+    spread = (high - low) / points.sides + points.grown / POINTS  # each point represents one cell of the grid
     middle, scale = (low + high) / 2, math.sqrt(spread[0] * spread[1])
     box = Box.around(float(middle[0]), float(middle[1]), *(scale * points.sides).tolist())
     return Moved(box, spread / points.grown, points.leave_ground(moved, still))
 
 
-def _leans(down: Float64, share: Float64) -> bool:
-    """Whether points move the less, the lower they are: so does the image of what stands upright as the camera moves.
+def _leans(down: Float64, part: Float64) -> bool:
+    """Whether the motion decreases downwards: a standing body leans so in the image as the camera moves.
 
-    down (n,): how far down the first box they are, in its heights; share (n,): of their common motion.
+    down (n,): the points' positions, downwards in heights of the first box; part (n,): of the common motion.
     """
     around = down - down.mean()
     square = float(around @ around)
-    return square > 0 and float(around @ share) < -LEANS * square
+    return square > 0 and float(around @ part) < -LEANS * square

@@ -175,7 +175,7 @@ class OffGround:
         return (at - self._centre) * self.zoom + self._shape / 2 - 0.5
 
     def _sampled(self, image: UInt8, centre: Float64) -> UInt8:
-        """(planes, rows, columns): what is around `centre`."""
+        """(planes, rows, columns): the image around `centre`, resampled to the patch."""
         wide, high = self._shape.tolist()
         x, y = centre.tolist()
         return resample(image, x, y, wide / self.zoom, high / self.zoom, wide, high)
