@@ -24,7 +24,7 @@ BY = "a test"
 def flown(scenario, person, seconds, out, monkeypatch):
     """Fly with a person, a generator that gets each tick; returns the person's notes."""
     monkeypatch.setattr(sim_page, "RealTimePace", lambda link: link)
-    monkeypatch.setattr(sim_page, "LONG_S", seconds)
+    monkeypatch.setattr(sim_page, "PATH_S", seconds)
     noted, seen = [], SimpleNamespace(box=None)
 
     class Eyes(Referee):
