@@ -8,10 +8,20 @@ STAMP  := $(VENV)/.installed
 
 .PHONY: setup check test test-extras bench bench-env study faults demo lock format clean
 
+define NEEDS_PYTHON
+import sys
+has = sys.version_info[:2]
+if not (3, 10) <= has <= (3, 13):
+    sys.exit("Python 3.10 to 3.13 is needed and $(VENV) has %d.%d: remove $(VENV), then make setup PYTHON=python3.12" % has)
+endef
+export NEEDS_PYTHON
+
 setup: $(STAMP)
 
+# An environment that exists is kept: picamera2 needs one that was made with --system-site-packages.
 $(STAMP): pyproject.toml requirements.lock
-	$(PYTHON) -m venv $(VENV)
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	@$(BIN)/python -c "$$NEEDS_PYTHON"
 	$(BIN)/python -m pip install --quiet $$(grep -oE '^uv==[^ ]+' requirements.lock)
 	$(BIN)/uv pip install --quiet --python $(BIN)/python --compile-bytecode --require-hashes -r requirements.lock
 	$(BIN)/uv pip install --quiet --python $(BIN)/python --no-deps --no-build-isolation -e .
