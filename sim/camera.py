@@ -95,11 +95,9 @@ class LiveFlight:
         m = self._telemetry()
         if self._anchor is None:
             self._anchor = m
-        a = self._anchor
-        turn = self.start.yaw_rad - a.yaw_rad
-        north, east = heading_to_ned(m.north_m - a.north_m, m.east_m - a.east_m, turn)
+        turn = self.start.yaw_rad - self._anchor.yaw_rad
         north_m_s, east_m_s = heading_to_ned(m.north_m_s, m.east_m_s, turn)
-        north, east = self.start.north_m + north, self.start.east_m + east
+        north, east = self.placed(m.north_m, m.east_m)
         return replace(
             m,
             north_m=north,
@@ -109,6 +107,14 @@ class LiveFlight:
             east_m_s=east_m_s,
             yaw_rad=math.remainder(m.yaw_rad + turn, math.tau),
         )
+
+    def placed(self, north_m: float, east_m: float) -> tuple[float, float]:
+        """A reported position in the scene, north and east, m; as it is before the first call of `advance`."""
+        a, start = self._anchor, self.start
+        if a is None:
+            return north_m, east_m
+        north, east = heading_to_ned(north_m - a.north_m, east_m - a.east_m, start.yaw_rad - a.yaw_rad)
+        return start.north_m + north, start.east_m + east
 
     def _telemetry(self) -> VehicleTruth:
         s = self.link.state()
@@ -190,6 +196,12 @@ class SceneCamera:
         vehicle = self._now or self._start()
         return vehicle, self.world.poses(vehicle.t_s - self._start().t_s)
 
+    def home(self, state: VehicleState) -> tuple[float, float] | None:
+        """Home in the scene, north and east, m; None if the link does not tell it."""
+        if state.home_t_s == NEVER or not isinstance(self.flight, LiveFlight):
+            return None
+        return self.flight.placed(state.home_north_m, state.home_east_m)
+
     def frames(self) -> Iterator[Frame | None]:
         """Each round's frame or None, until the scenario is over."""
         s = self.settings
@@ -202,8 +214,11 @@ class SceneCamera:
         while vehicle.t_s - begin_s <= self.duration_s + 1e-9:
             if count % rounds == 0:
                 waiting.append((count // rounds, vehicle))
-            ready = waiting and vehicle.t_s - waiting[0][1].t_s >= s.latency_s - 1e-6
-            yield self._deliver(*waiting.popleft(), begin_s) if ready else None
+            due = sum(vehicle.t_s - taken.t_s >= s.latency_s - 1e-6 for _, taken in waiting)
+            while due > 1 and waiting[0][0] > 0:  # after a stall, live; the first frame is never dropped
+                waiting.popleft()
+                due -= 1
+            yield self._deliver(*waiting.popleft(), begin_s) if due else None
             self._now = vehicle = self.flight.advance(round_s)
             count += 1
 

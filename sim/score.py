@@ -35,6 +35,7 @@ class ScoredTick:
     `box` is the tracker's (None: no new frame) and `truth` that frame's.  `nearest_m` and `nearest_other_m` lead from
     the vehicle to the target's body and to the nearest other actor's (inf: there is nobody else).  `begins` is whether
     the gate restarted its ramps at the vehicle's measured velocity, because the vehicle does not follow the setpoints.
+    `home` (north and east, m) is the fence's centre, None as long as the autopilot has not told it.
     """
 
     t_s: float
@@ -48,6 +49,7 @@ class ScoredTick:
     nearest_m: float = math.inf
     nearest_other_m: float = math.inf
     begins: bool = False
+    home: tuple[float, float] | None = None
 
     @classmethod
     def of(cls, tick: Tick, camera: SceneCamera) -> "ScoredTick":
@@ -66,6 +68,7 @@ class ScoredTick:
             away[0],
             min(away[1:], default=math.inf),
             tick.decision.reason.cause is Cause.NOT_OBEYING,
+            camera.home(tick.state),
         )
 
 
@@ -227,7 +230,7 @@ def violations(rows: Sequence[ScoredTick], limits: Mapping[str, float]) -> dict[
 
     Speeds and the distance to the target's body are checked in rounds that sent a setpoint, accelerations if the round
     before also did and the ramps did not restart; the vehicle's own position in all.  Heights are above the ground
-    below the vehicle, the fence is centred on its position at the first setpoint.
+    below the vehicle.  The fence is centred on home or, if that is unknown, on the position at the first setpoint.
     """
     count: Counter[str] = Counter()
     first = next((k for k, row in enumerate(rows) if row.setpoint is not None), len(rows))
@@ -235,10 +238,8 @@ def violations(rows: Sequence[ScoredTick], limits: Mapping[str, float]) -> dict[
     had_begun = False
     for row in rows[first:]:
         m, start = row.vehicle, rows[first].vehicle
-        over = {
-            "ceiling_m": m.height_m,
-            "fence_m": math.hypot(m.north_m - start.north_m, m.east_m - start.east_m),
-        }
+        centre = row.home or (start.north_m, start.east_m)
+        over = {"ceiling_m": m.height_m, "fence_m": math.dist((m.north_m, m.east_m), centre)}
         sent = row.setpoint
         now = None
         if sent is not None:

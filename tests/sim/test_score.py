@@ -115,6 +115,18 @@ def test_where_the_vehicle_goes_is_checked_also_after_the_last_setpoint(name, po
     assert score(away, CAMERA, 9.0, LIMITS | {"ceiling_m": 20.0}).violations == {name: 3}
 
 
+def test_the_fence_is_centred_on_home_once_that_is_known():
+    """As the gate's: a flight that begins 40 m from home has 10 m left on that side, and 90 m on the other."""
+    flight = [replace(row, home=(40.0, 0.0)) for row in rows([MIDDLE] * 10)]
+
+    def passed(north_m):
+        moved = [replace(row, vehicle=replace(row.vehicle, north_m=north_m)) for row in flight[1:]]
+        return score([flight[0], *moved], CAMERA, 9.0, {"fence_m": 50.0}).violations
+
+    assert passed(-9.9) == passed(89.9) == {}
+    assert passed(-10.1) == passed(90.1) == {"fence_m": 9}
+
+
 def test_nearer_than_the_minimum_stand_off_counts_while_setpoints_are_sent():
     near = [9.0, 3.9, 3.9, 4.0, 3.5, 3.0, 8.0]
     sent = [HOVER] * 5 + [None] * 2
