@@ -182,7 +182,8 @@ class RunCommand:
     """Channel of the remote control whose switch orders FOLLOW (up) and OBSERVE (down). Default: no switch."""
     stick_trims: Annotated[str | None, tyro.conf.arg(metavar="RIGHT,FORWARD,UP")] = None
     """Channels of the remote control that trim while it follows: aside, nearer, higher; as 1,-2,3 (minus: reversed).
-    Up to 30 % of a stick's travel; beyond it the stick takes the vehicle over, as every stick does by default."""
+    Up to 30 % of a stick's travel; beyond it the stick takes the vehicle over, as every stick does by default, and on
+    PX4 a stick that moves fast."""
     waive: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """Name of a check of `follow doctor` that may be red. Repeat it for several."""
     simulated: bool = False

@@ -115,7 +115,7 @@ PX4_QUESTIONS: tuple[Question, ...] = (
         ),
     ),
     (
-        Parameter("COM_RC_STICK_OV", "takes over at this much stick", between(5.0, 40.0), "30", "%", before=(1, 18)),
+        Parameter("COM_RC_STICK_OV", "stick speed that takes over", between(5.0, 40.0), "30", "%/s", before=(1, 18)),
         Parameter("MAN_OVERRIDE_SPD", "stick speed that takes over", None, "", "1/s", since=(1, 18)),
     ),
     # The sticks are blocked for this long after a failsafe began.

@@ -1,7 +1,7 @@
 """An option with which sticks trim the flight while it follows: to the side, nearer and farther, higher and lower.
 
 Only the first part of a stick's travel trims.  Beyond it the pilot takes over, as without the option, and also with any
-other stick: PX4 itself hands the vehicle over at the same 30 %.
+other stick.  PX4 itself hands the vehicle over to a stick that moves fast, however little: trim slowly there.
 """
 
 from dataclasses import dataclass, replace

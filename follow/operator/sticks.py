@@ -1,6 +1,6 @@
 """Sticks: a remote control's by RC_CHANNELS, a ground station's by MANUAL_CONTROL or RC_CHANNELS_OVERRIDE.
 
-A stick counts as moved, as on PX4, once it has left the position that it had when the watch began.  That position does
+A stick counts as moved once it has left the position that it had when the watch began.  That position does
 not matter, so a joystick that nobody touches forbids nothing.
 """
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from follow.messages import NEVER
 
-STICK_US = 150  # 30 % of a stick's travel from the centre: the default of PX4's COM_RC_STICK_OV
+STICK_US = 150  # 30 % of a stick's travel from the centre; PX4 itself goes by the stick's speed
 STICKS = 4  # channels 1 to 4, in any order
 PWM = range(800, 2201)  # valid pulses; 0 and 65535 mean that the channel does not exist
 STICK_SAMPLES = 2  # a stick must be off its position in this many samples in a row

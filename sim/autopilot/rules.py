@@ -16,7 +16,8 @@ YAW_RATE_BIT = 1 << 11
 STREAM_SLACK_S = STREAM_TIMEOUT_S[Autopilot.PX4] - 1.0  # PX4 reacts this much later than COM_OF_LOSS_T (default 1.0)
 STREAM_RECENT_S = 0.5  # PX4: OFFBOARD needs setpoints at more than 2 Hz; here one recent setpoint is enough
 STICKS_LAST_S = 0.5  # PX4: COM_RC_LOSS_T's default
-STICK_TIME_S = 0.25  # PX4: a stick that moved is at rest again after about this
+STICK_TIME_S = 0.25  # PX4 1.18: a stick that moved is at rest again after about this
+STICK_FILTER_S = 0.1  # PX4 to 1.17: time constant of the filter on a stick's speed
 AVOID_MARGIN_M = 2.0  # ArduCopter: FENCE_MARGIN's default; seen to stop this far inside the fence
 AVOID_ACCEL_M_S2 = 1.0  # deceleration toward it, low enough for the dead time and the jerk limit
 AVOID_TIME_S = 1.5  # ... and the time constant of the last metres
@@ -104,18 +105,20 @@ class Px4Flight(AutopilotCore):
     def _sticks_take_over(self) -> bool:
         """Whether a stick moves, as PX4 takes over by movement and not by deflection.
 
-        Up to 1.17 COM_RC_STICK_OV is how far it must move and COM_RC_OVERRIDE in which modes that counts: automatic
-        (bit 0), OFFBOARD (bit 1).  From 1.18 MAN_OVERRIDE_SPD is how fast, and counts in both unless it is negative.
+        Up to 1.17 COM_RC_STICK_OV is how fast it must move, in hundredths of half its travel a second (ManualControl
+        and MovingDiff of 1.16), and COM_RC_OVERRIDE in which modes that counts: automatic (bit 0), OFFBOARD (bit 1).
+        From 1.18 MAN_OVERRIDE_SPD is how fast, and counts in both unless it is negative.
         """
         sticks = self.sticks or (0.0, 0.0, 0.0, 0.0)
-        keep = math.exp(-STEP_S / STICK_TIME_S)
+        filter_s = STICK_TIME_S if "MAN_OVERRIDE_SPD" in self.parameters else STICK_FILTER_S
+        keep = math.exp(-STEP_S / filter_s)
         self._rested = tuple(keep * old + (1.0 - keep) * now for old, now in zip(self._rested, sticks, strict=True))
-        moved = max(abs(now - rested) for now, rested in zip(sticks, self._rested, strict=True))
+        speed = max(abs(now - rested) for now, rested in zip(sticks, self._rested, strict=True)) / filter_s
         if "MAN_OVERRIDE_SPD" in self.parameters:
             least = float(self.parameters["MAN_OVERRIDE_SPD"])
-            return least >= 0.0 and moved / (2.0 * STICK_TIME_S) > least and self._may_take_over(3)
+            return least >= 0.0 and speed / 2.0 > least and self._may_take_over(3)
         least = float(self.parameters["COM_RC_STICK_OV"]) / 100.0
-        return moved > least and self._may_take_over(int(self.parameters["COM_RC_OVERRIDE"]))
+        return speed > least and self._may_take_over(int(self.parameters["COM_RC_OVERRIDE"]))
 
     def _may_take_over(self, where: int) -> bool:
         auto = self.modes[self.mode].number == 4

@@ -303,6 +303,25 @@ def test_ardupilot_by_default_stops_two_metres_inside_a_fence_in_guided_and_slid
 
 
 @pytest.mark.parametrize(
+    ("moves_by", "within_s", "taken"),
+    [(0.05, 0.0, True), (0.1, 0.0, True), (0.25, 0.5, True), (0.02, 0.0, False), (0.25, 1.0, False), (0.4, 4.0, False)],
+)
+def test_a_sticks_speed_takes_px4_over_and_not_how_far_it_is(moves_by, within_s, taken):
+    """As flown on PX4 1.16 with COM_RC_STICK_OV 30."""
+    bench = Bench(PX4, firmware="1.16", COM_RC_OVERRIDE=3)
+    bench.flight.sticks = (0.0, 0.0, 0.0, 0.0)
+    bench.wait(2.0)
+    bench.under_control()
+    bench.stream(1.0)
+    steps = max(round(within_s * 50), 1)
+    for k in range(steps):
+        bench.flight.sticks = (0.0, moves_by * (k + 1) / steps, 0.0, 0.0)
+        bench.stream(0.02, rate_hz=50)
+    bench.stream(0.3)
+    assert bench.flight.mode == ("POSCTL" if taken else "OFFBOARD")
+
+
+@pytest.mark.parametrize(
     ("firmware", "parameters", "taken"),
     [
         ("1.16", {"COM_RC_OVERRIDE": 3}, True),
