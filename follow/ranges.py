@@ -27,6 +27,14 @@ def require_numbers(
             raise ValueError(f"{kind} {name} must be {rule}, not {value:g}")
 
 
+def require_at_least(kind: str, settings: "DataclassInstance", least: Mapping[str, float], why: str) -> None:
+    """Raise ValueError naming the first number smaller than `least`; `why` follows "raise it"."""
+    for name, smallest in least.items():
+        value = getattr(settings, name)
+        if value < smallest:
+            raise ValueError(f"{kind} {name} must be at least {smallest:g}, not {value:g}: raise it, {why}")
+
+
 def require_at_most(kind: str, settings: "DataclassInstance", most: Mapping[str, float]) -> None:
     """Raise ValueError naming the first number larger than `most` in either direction: usually one in another unit."""
     for name, largest in most.items():

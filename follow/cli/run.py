@@ -3,7 +3,6 @@
 import contextlib
 import difflib
 import logging
-import math
 import signal
 import time
 from collections.abc import Callable, Generator, Sequence
@@ -24,6 +23,7 @@ from follow.camera.video import open_replay
 from follow.cli.commands import RunCommand, box_in, box_of, lens_of
 from follow.cli.detector import check_detector, open_detector
 from follow.cli.ground import carried_by, check_ground, ground_sides
+from follow.cli.height import height_conflict, height_line
 from follow.cli.layers import SCENE, from_scene
 from follow.cli.page import consoles_of, desk_of, open_page, page_options
 from follow.cli.settings import as_toml, scene_values
@@ -146,9 +146,15 @@ def check(command: RunCommand) -> None:
     if name != command.camera and name not in SCENARIOS:
         raise UsageError(f"there is no scene {name!r}; there are {', '.join(SCENARIOS)}")
     if name == command.camera or command.config.camera.down_deg is not None:  # else the angle depends on the autopilot
-        height_line(command.config)
+        require_height(command.config)
     if is_live(command.camera):  # last, so that a command can be judged where its camera is not
         check_device(parse_camera(command.camera))
+
+
+def require_height(config: Config) -> None:
+    """Raise UsageError for a height outside the altitude band."""
+    if conflict := height_conflict(config):
+        raise UsageError(conflict)
 
 
 def check_device(camera: CameraName) -> None:
@@ -279,6 +285,7 @@ def prepare(command: RunCommand, link: MavlinkLink, report: Notify) -> PreparedF
     tracker = tracker_of(command.tracker)
     if path := command.config.camera.calibration:
         report(f"lens by {path}: {described(seen.lens)}")
+    require_height(seen.config)
     if line := height_line(seen.config):
         report(line)
     if red:
@@ -360,22 +367,3 @@ def fly_prepared(
     if not began and (line := operator.changes.early_end()):
         report(line)
     return began
-
-
-def height_line(config: Config) -> str:
-    """How high the vehicle will fly above the target, and why; "" in a mode that keeps its present height.
-
-    Raises UsageError if that lies outside the altitude band: the servo would fly against the gate all the time.
-    """
-    down_rad, limits = config.camera.down_rad, config.limits
-    kept = kept_geometry(config.servo, down_rad)
-    standoff_m, height_m = kept.standoff_m, kept.height_m
-    if standoff_m is None or height_m is None:
-        return ""
-    why = f"{standoff_m:g} m away with the camera {math.degrees(down_rad):.0f} degrees below the nose"
-    if not limits.floor_m <= height_m <= limits.ceiling_m:
-        raise UsageError(
-            f"{why} means {height_m:.1f} m above the target, outside limits.floor_m {limits.floor_m:g} to "
-            f"limits.ceiling_m {limits.ceiling_m:g}: change servo.standoff_m or camera.down_deg"
-        )
-    return f"will fly about {height_m:.0f} m above the target: {why}"

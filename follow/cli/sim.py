@@ -10,6 +10,7 @@ from typing import Any, cast
 
 from follow.cli.commands import SimCommand, lens_of
 from follow.cli.detector import check_detector, simulated_detector
+from follow.cli.height import height_report
 from follow.cli.layers import from_scene
 from follow.cli.page import page_options
 from follow.cli.settings import as_toml
@@ -119,6 +120,8 @@ def simulate_into(flight: FlightSpec, terminal: Terminal, *, bar: bool) -> Flown
     tracker = acquire(flight.tracker, camera.first()[1])  # this may refuse the flight, so it comes before the recording
     flown: Figures = {"scenario": flight.scenario, "seed": flight.seed, "autopilot": flight.autopilot.value}
     keep_other_flight(flight.out, flown, terminal)
+    if bar and (line := height_report(config)):
+        terminal.report(line)
     kept, setup = kept_geometry(config.servo, down_rad), Setup(lens, down_rad, as_toml(config), about=about)
     record = partial(Recorder, waits=True, about=about, desired=kept, setup=setup, view=flight.view)
     report_once = OnceEach(terminal.report)

@@ -12,6 +12,7 @@ from follow.camera.recent import RecentFrames
 from follow.cli.commands import SimCommand
 from follow.cli.detector import open_detector
 from follow.cli.ground import carried_alone, ground_sides, video_address
+from follow.cli.height import height_report
 from follow.cli.page import PageOptions, consoles_of, desk_of, open_page
 from follow.cli.settings import as_toml
 from follow.cli.sim import FlightSpec, Referee, believed_camera, scene_camera
@@ -128,6 +129,8 @@ def fly_in_real_time(
                 time.sleep(ROUND_S)
                 link.advance(ROUND_S)
 
+            if line := height_report(config):
+                terminal.report(line)
             terminal.report("flying: a simulated pilot keeps the vehicle behind the target until you order FOLLOW")
             meter = ImageMotionMeter(lens, down_rad)
             fly(Parts(frames, link, tracker, target, servo, safety, meter, detector), operator, see, pause=pause)

@@ -232,8 +232,8 @@ def walking(target: Worst, seen: Sighting, state: VehicleState) -> Worst:
     return replace(target, range_m=range_m, approach_m_s=max(target.approach_m_s, WALK_M_S))
 
 
-def limit_descent_unseen(down: float, seen: Sighting, state: VehicleState, limits: Limits) -> float:
-    """Limit the downward speed over an unseen target; climb if it may run under the vehicle.
+def unseen_bounds(seen: Sighting, state: VehicleState, limits: Limits) -> tuple[float, float]:
+    """The fastest descent over an unseen target, negative if it may run under the vehicle, and the fastest climb.
 
     The target may have started to run at the last sighting, with its head as high as it may have been then.  The height
     needed is `sprint_above_m`, which grows to `min_standoff_m`.  Repeated glimpses of an object level with the vehicle
@@ -243,9 +243,8 @@ def limit_descent_unseen(down: float, seen: Sighting, state: VehicleState, limit
     away_m = math.hypot(seen.north_m - state.north_m, seen.east_m - state.east_m)
     needed_m = sprint_above_m(away_m, limits, max(state.t_s - seen.t_s, 0.0))
     lacking_m = needed_m - (seen.head_down_m - state.down_m)
-    if lacking_m > 0.0:
-        down = min(down, -min(lacking_m / FULL_CLIMB_M, 1.0) * limits.climb_m_s)
-    return down if seen.base_down_m - state.down_m < limits.min_standoff_m else max(down, 0.0)
+    fastest_down = -min(lacking_m / FULL_CLIMB_M, 1.0) * limits.climb_m_s if lacking_m > 0.0 else math.inf
+    return fastest_down, math.inf if seen.base_down_m - state.down_m < limits.min_standoff_m else 0.0
 
 
 def needed_above_m(target: Worst, state: VehicleState, limits: Limits) -> float:
@@ -262,16 +261,19 @@ def needed_above_m(target: Worst, state: VehicleState, limits: Limits) -> float:
     return math.sqrt(max(limits.min_standoff_m**2 - nearest**2, 0.0))
 
 
-def limit_descent(down: float, target: Worst, state: VehicleState, limits: Limits) -> float:
-    """Limit the downward speed to keep the height needed above the target's head; climb if the vehicle is too low.
+def descent_bounds(target: Worst, state: VehicleState, limits: Limits) -> tuple[float, float]:
+    """The fastest descent: by the target's approach, and by the height above its head; negative is a climb.
 
     There is no descent while the target approaches: a fast approach leaves no time to climb again.
     """
-    if target.approach_m_s > NEARING_M_S:
-        down = min(down, 0.0)
     steady = approach_speed(max(target.spare_m, 0.0), limits.climb_accel_m_s2)
-    down = min(down, steady if target.spare_m >= 0.0 else max(target.spare_m / SETTLE_S, -STEADY_CLIMB_M_S))
+    steady = steady if target.spare_m >= 0.0 else max(target.spare_m / SETTLE_S, -STEADY_CLIMB_M_S)
     room = target.above_m - needed_above_m(target, state, limits)
-    if room >= 0.0:
-        return min(down, approach_speed(room, limits.climb_accel_m_s2))
-    return min(down, max(room / FULL_CLIMB_M, -1.0) * limits.climb_m_s)
+    evading = max(room / FULL_CLIMB_M, -1.0) * limits.climb_m_s
+    evading = approach_speed(room, limits.climb_accel_m_s2) if room >= 0.0 else evading
+    return 0.0 if target.approach_m_s > NEARING_M_S else math.inf, min(steady, evading)
+
+
+def limit_descent(down: float, target: Worst, state: VehicleState, limits: Limits) -> float:
+    """The downward speed within both bounds of a visible target or another person."""
+    return min(down, *descent_bounds(target, state, limits))

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from follow.ranges import require_at_most, require_numbers
+from follow.ranges import require_at_least, require_at_most, require_numbers
 
 MAY_BE_ZERO = ("latency_s", "out_of_view_m_s", "clear_distance")
 
@@ -49,10 +49,17 @@ MOST = {
 }
 """Largest plausible value of each limit.  disobey_after_s has no bound: NEVER_S switches its check off."""
 
+LEAST = {
+    "floor_m": 1.0,  # 0.3 m of overshoot (docs/faults.md), the rest for the legs and the barometer's error.
+    "min_standoff_m": 2.0,  # Braking from a walk takes 1 m, and a person's arm with half a small vehicle reaches 1 m.
+}
+"""Smallest value of each limit that keeps the vehicle off people and ground; the others need only be positive."""
+
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """The gate's numbers.  Raises ValueError for one that is not positive or plausible, or a floor above the ceiling.
+    """The gate's numbers.  Raises ValueError for one that is not positive, plausible or safe, or a floor above the
+    ceiling.
 
     A derived number is None until it is set.  The gate then uses the strictest value: no view to either side of the
     nose, and frames that arrive without delay.
@@ -96,5 +103,6 @@ class Limits:
     def __post_init__(self) -> None:
         require_numbers("limit", self, may_be_zero=MAY_BE_ZERO)
         require_at_most("limit", self, MOST)
+        require_at_least("limit", self, LEAST, "because it keeps the vehicle off people and ground")
         if self.floor_m >= self.ceiling_m:
             raise ValueError(f"the floor {self.floor_m:g} m must lie below the ceiling {self.ceiling_m:g} m")

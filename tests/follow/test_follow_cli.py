@@ -16,8 +16,7 @@ from follow.cli import replay as cli_replay
 from follow.cli import run as cli_run
 from follow.cli.program import main
 from follow.cli.settings import read_settings, tomllib
-from follow.config import CameraConfig, Config
-from follow.control.servo import ServoConfig, ServoMode
+from follow.config import Config
 from follow.link import connection
 from follow.messages import Autopilot
 from follow.operator.terminal import listed, result
@@ -378,8 +377,14 @@ def test_a_refused_start_keeps_the_last_flight_and_names_what_it_waits_for(capfd
 @pytest.mark.parametrize(
     ("more", "said"),
     [
-        (("--camera.down-deg", "5"), "means 1.0 m above the target, outside limits.floor_m 2 to limits.ceiling_m 100"),
-        (("--camera.down-deg", "75", "--servo.standoff-m", "40"), "means 149.3 m above the target"),
+        (
+            ("--camera.down-deg", "5"),
+            "camera.down_deg 5 (in degrees) and servo.standoff_m 12 mean 1.0 m above the target",
+        ),
+        (
+            ("--camera.down-deg", "75", "--servo.standoff-m", "40"),
+            "149.3 m above the target, above limits.ceiling_m 100",
+        ),
     ],
 )
 def test_a_stand_off_that_contradicts_the_altitude_band_is_refused_before_anything_is_opened(capfd, more, said):
@@ -387,11 +392,3 @@ def test_a_stand_off_that_contradicts_the_altitude_band_is_refused_before_anythi
     assert status == 2
     assert said in err
     assert err.count("\n") == 1
-
-
-@pytest.mark.parametrize(("down_deg", "standoff_m", "height_m"), [(30.0, 12.0, 7), (45.0, 20.0, 20), (27.0, 22.0, 11)])
-def test_the_height_that_follows_from_stand_off_and_angle_is_reported(down_deg, standoff_m, height_m):
-    config = Config(CameraConfig(down_deg=down_deg), servo=ServoConfig(standoff_m=standoff_m))
-    why = f"{standoff_m:g} m away with the camera {down_deg:.0f} degrees below the nose"
-    assert cli_run.height_line(config) == f"will fly about {height_m} m above the target: {why}"
-    assert cli_run.height_line(replace(config, servo=ServoConfig(mode=ServoMode.SPOTLIGHT))) == ""

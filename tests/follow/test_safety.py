@@ -298,7 +298,7 @@ def test_above_a_near_target_it_retreats_and_does_not_descend():
         decision = safety.allow(Setpoint(down_m_s=1.0), near, flying(now, down_m=-5.9), now)
     assert decision.setpoint.forward_m_s < 0.0
     assert decision.setpoint.down_m_s < 0.0
-    assert HELD["altitude"] in decision.notes
+    assert HELD["head"] in decision.notes
 
 
 @pytest.mark.parametrize(

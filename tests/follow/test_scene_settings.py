@@ -1,8 +1,5 @@
 """A drawn scene's settings are recorded as comments and not as choices: a real camera and target have others."""
 
-import dataclasses
-import re
-
 import pytest
 
 from follow.cli.layers import from_scene, read, settings_of, without_scene
@@ -10,8 +7,6 @@ from follow.cli.run import unused_line
 from follow.cli.settings import as_toml, read_settings, scene_values
 from follow.config import Config, resolve
 from follow.messages import Autopilot
-from follow.safety.envelope import HELD
-from follow.safety.limits import Limits
 from sim.scenarios import SCENARIOS
 
 CAR = SCENARIOS["car"]
@@ -75,9 +70,3 @@ def test_a_derived_table_of_any_form_is_passed_over(tmp_path, text):
     path = tmp_path / "odd.toml"
     path.write_text(text)
     assert scene_values(path) == {}
-
-
-def test_each_note_of_a_limit_names_existing_settings():
-    known = {field.name for field in dataclasses.fields(Limits)}
-    for text in HELD.values():
-        assert set(re.findall(r"limits\.(\w+)", text)) <= known

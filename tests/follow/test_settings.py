@@ -26,7 +26,7 @@ from follow.control.target import TargetConfig
 from follow.messages import Autopilot
 from follow.operator.terminal import Terminal
 from follow.recording.recorder import RecordConfig
-from follow.safety.limits import MOST, Limits
+from follow.safety.limits import LEAST, MOST, Limits
 from racf.commandline import UsageError
 from sim.dynamics import Vehicle, VehicleTruth
 from sim.link import SimLink
@@ -181,11 +181,22 @@ def test_a_value_in_another_unit_is_refused_in_file_and_option(tmp_path, setting
 @pytest.mark.parametrize("name", [f.name for f in fields(Limits) if f.name != "disobey_after_s"])
 def test_a_limit_in_another_unit_is_refused(name):
     """Its largest value is allowed, 0.1 % more is not."""
-    beside = {"floor_m": 1.0} if name == "ceiling_m" else {}
     if name != "floor_m":  # which must lie below the ceiling
-        Limits(**{name: MOST[name]}, **beside)
+        Limits(**{name: MOST[name]})
     with pytest.raises(ValueError, match=rf"limit {name} must be at most .*: check its unit"):
-        Limits(**{name: 1.001 * MOST[name]}, **beside)
+        Limits(**{name: 1.001 * MOST[name]})
+
+
+@pytest.mark.parametrize("name", LEAST)
+def test_a_limit_that_protects_nobody_is_refused_in_file_and_option(tmp_path, name):
+    """Its least value is allowed, 0.1 % less is not."""
+    least = LEAST[name]
+    assert getattr(Limits(**{name: least}), name) == least < getattr(Limits(), name)
+    said = rf"limit {name} must be at least {least:g}, not {0.999 * least:g}: raise it"
+    with pytest.raises(UsageError, match=said):
+        read_settings(file_of(tmp_path, f"[limits]\n{name} = {0.999 * least}\n"))
+    with pytest.raises(UsageError, match=said):
+        run_command(f"--limits.{name.replace('_', '-')}={0.999 * least}")
 
 
 class Still:

@@ -13,7 +13,7 @@ from pathlib import Path
 from follow.cli.described import sentences, summary, unit
 from follow.cli.settings import literal
 from follow.config import MOUNT_DEG, PRESETS, Config
-from follow.safety.limits import MOST, Limits
+from follow.safety.limits import LEAST, MAY_BE_ZERO, MOST, Limits
 
 DOCS = Path(__file__).parents[2] / "docs"
 HEAD = """\
@@ -67,17 +67,19 @@ def limits_page() -> str:
         "Generated from `follow/safety/limits.py` by `python -m tools.docs.settings`. On the command line: "
         "`--limits.speed-m-s 2`.",
         "",
-        "A value beyond its largest is refused: it is usually one in another unit.",
+        "A value beyond its largest is refused: it is usually one in another unit. A value below its least is refused: "
+        "that of `floor_m` and `min_standoff_m` keeps the vehicle off ground and people.",
         "",
-        "| limit | default | largest | meaning and source |",
-        "|---|---|---|---|",
+        "| limit | default | least | largest | meaning and source |",
+        "|---|---|---|---|---|",
     ]
     defaults = Limits()
     for name, sentence in sentences(Limits).items():
         default = getattr(defaults, name)
         shown = "derived" if default is None else f"{default:g} {unit(name)}".strip()
         most = f"{MOST[name]:g}" if name in MOST else "any"
-        lines.append(f"| `{name}` | {shown} | {most} | {sentence} |")
+        least = f"{LEAST[name]:g}" if name in LEAST else "0" if name in MAY_BE_ZERO else "above 0"
+        lines.append(f"| `{name}` | {shown} | {least} | {most} | {sentence} |")
     return "\n".join(lines) + "\n"
 
 
