@@ -122,7 +122,13 @@ def tiny_line(box: Box) -> str:
     """One sentence for a person about a target with a side below CLEAR_PX; "" for one that is large enough."""
     if min(box.w, box.h) >= CLEAR_PX:
         return ""
+    w, h = _whole_px(box.w), _whole_px(box.h)
     return (
-        f"the target is only {box.w:.4g}x{box.h:.4g} pixels; it needs at least {CLEAR_PX:g} on each side to be held "
+        f"the target is only {w}x{h} pixels; it needs at least {CLEAR_PX:g} on each side to be held "
         "and for its distance: go closer, or use a longer lens or a higher resolution"
     )
+
+
+def _whole_px(side: float) -> int:
+    """A side in whole pixels; one below CLEAR_PX is not rounded up to it."""
+    return round(side) if side >= CLEAR_PX else min(round(side), math.ceil(CLEAR_PX) - 1)

@@ -102,7 +102,7 @@ def score(
     standoff_rms_m  RMS of the true distance along the ground less `standoff_m`; standoff_rms the same over `standoff_m`
     off_target_s    time with the target in plain view and the tracker's box not on it
     decoy_s         longest time that the box was on another actor and not on the target
-    reacquired      the box is on the target again within 3 s of the end of every occlusion; None without one
+    reacquired      the box is on the target again within 3 s of the end of every occlusion in the image; None without
     worst_t_s       time of the largest offset from the middle, `worst_offset`
     nearest_m       least distance from the vehicle to the target's body, from feet to head
     nearest_other_m the same to anybody else; None without one
@@ -126,7 +126,7 @@ def score(
         standoff_rms=rms(away) / standoff_m,
         off_target_s=longest_or_total(framed, strayed, longest=False),
         decoy_s=longest_or_total(framed, on_decoy, longest=True),
-        reacquired=reacquired(framed),
+        reacquired=reacquired(framed, inside),
         worst_t_s=framed[worst].t_s,
         worst_offset=lengths[worst],
         nearest_m=min(row.nearest_m for row in rows),
@@ -210,13 +210,16 @@ REACQUIRE_S = 3.0
 OCCLUSION_S = 0.5  # hidden for less than this is a flicker of leaves
 
 
-def reacquired(rows: Sequence[ScoredTick]) -> bool | None:
-    """Whether the box came back onto the target after each time that it was hidden; None when it never was."""
+def reacquired(rows: Sequence[ScoredTick], inside: Sequence[bool]) -> bool | None:
+    """Whether the box came back onto the target after each time that it was hidden; None when it never was.
+
+    `inside` says for each row whether the target's centre is in the image: one that left the image is not hidden.
+    """
     answers: list[bool] = []
     hidden_since: float | None = None
     for k, row in enumerate(rows):
         if not shows(row) and not (row.truth and row.truth.visible > 0.0):
-            hidden_since = row.t_s if hidden_since is None else hidden_since
+            hidden_since = row.t_s if hidden_since is None and inside[k] else hidden_since
         elif hidden_since is not None and shows(row):
             if row.t_s - hidden_since >= OCCLUSION_S:
                 after = [later for later in rows[k:] if later.t_s <= row.t_s + REACQUIRE_S]

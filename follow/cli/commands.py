@@ -300,7 +300,7 @@ class ReflyCommand:
     """
 
     flight: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
-    """Folder of the recorded flight."""
+    """Folder of the recorded flight, or a file in it."""
     out: Path | None = None
     """Output folder: flight.rrd, ticks.csv, settings.toml, summary.json and refly.html. Default: DIR/refly."""
     json: bool = False
@@ -320,7 +320,7 @@ class ReportCommand:
     """
 
     flight: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
-    """Folder of the flight."""
+    """Folder of the flight, or a file in it."""
     out: Path | None = None
     """File of the page. Default: DIR/report.html."""
 

@@ -33,7 +33,7 @@ from follow.cli.commands import (
 from follow.cli.settings import Table, file_layer, layered, read_table
 from follow.config import PRESETS, Config, TargetKind
 from follow.recording.exact import read_setup
-from follow.recording.folder import CALIBRATION
+from follow.recording.folder import CALIBRATION, flight_folder
 from racf.commandline import UsageError, parse
 
 PROG = "follow"
@@ -112,7 +112,7 @@ def below(words: Sequence[str], scenario: str | None = None, *, suggests: bool =
     first = _glance([word for word in words if word not in HELP])  # the help shows the defaults of the layers
     layers: list[tuple[str, Table]] = []
     if isinstance(first, _open(ReflyCommand)) and not any(word in HELP for word in words):
-        layers.append(flown_with(first.flight))
+        layers.append(flown_with(flight_folder(first.flight)))
     if suggests and (name := scenario or _scenario(first)):
         layers.append((f"scenario {name}", _suggested(name)))
     kind: TargetKind | None = getattr(first, "for_", None)

@@ -4,6 +4,7 @@ import os
 import sys
 import threading
 from collections.abc import Sequence
+from dataclasses import replace
 
 from follow.camera import CameraError
 from follow.cli.commands import (
@@ -18,6 +19,7 @@ from follow.cli.commands import (
 from follow.cli.layers import read, settings_of, with_view, without_scene
 from follow.flight.finding import NotFitError
 from follow.link import LinkError
+from follow.recording.folder import flight_folder
 from follow.recording.recorder import RecordingError
 from racf.commandline import UsageError, guarded
 
@@ -29,6 +31,8 @@ def execute(words: Sequence[str]) -> None:
     """Parse the command line and run its command."""
     words = with_view(words)
     command = read(words)
+    if isinstance(command, ReflyCommand | ReportCommand):
+        command = replace(command, flight=flight_folder(command.flight))
     if isinstance(command, ReplayCommand | SimCommand | RunCommand) and command.view is not None:
         from follow.recording.viewer import check_view
 

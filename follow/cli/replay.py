@@ -2,6 +2,7 @@
 
 import math
 import os
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 
@@ -14,6 +15,7 @@ from follow.cli.commands import ReplayCommand, box_in, box_of, lens_of
 from follow.cli.settings import as_toml
 from follow.config import Config, resolve
 from follow.control.footage import FootageTarget
+from follow.control.regain import NOT_TAKEN
 from follow.control.servo import Servo, ServoMode
 from follow.control.target import Target
 from follow.flight.session import acquire, conclude, fly, keep_flight, kept_geometry, once
@@ -93,19 +95,32 @@ def replay_into(command: ReplayCommand, box: Box, truth: Annotations | None) -> 
             # No meter: the motion of the camera that filmed the footage is unknown, so there is nothing to compare.
             ticks = follow(camera, link, tracker, target, servo, safety, once(Order.FOLLOW))
             ticks = terminal.progress(ticks, footage.rounds, "replay")
-            finished = fly(ticks, recorder, pretended(terminal.report), score.add)
-            if line := score.shortfall():
+            finished = fly(ticks, recorder, pretended(terminal.report), score.add, start=box)
+            for line in filter(None, (score.shortfall(), score.left_window(), *refusals(link.refused, finished))):
                 terminal.report(line)
-            if any(link.refused.values()):
-                terminal.report(f"the vehicle refused setpoints: {link.refused}")
             flown: Figures = {"tracker": command.tracker, "autopilot": command.autopilot.value}
             figures = recorder.close({**flown, **score.figures()})
     conclude(figures, command.out, terminal, as_json=command.json, finished=finished, failure=recorder.failure)
 
 
 def pretended(report: Notify) -> Notify:
-    """`report` for footage, which has no autopilot."""
-    return lambda line: report(line.replace(Cause.OBEYS.value, "a pretended vehicle obeys"))
+    """`report` for footage, which has no autopilot, and in which nobody can select."""
+    others = {Cause.OBEYS.value: "a pretended vehicle obeys", NOT_TAKEN: "not taken: another person"}
+
+    def pretend(line: str) -> None:
+        for said, pretends in others.items():
+            line = line.replace(said, pretends)
+        report(line)
+
+    return pretend
+
+
+def refusals(refused: Mapping[str, int], followed: bool) -> Iterator[str]:
+    """What the pretended vehicle did not fly, as sentences; the end of the stream only if there was one."""
+    if count := refused["too fast"]:
+        yield f"the pretended vehicle refused {count} of the setpoints, because they were faster than any vehicle flies"
+    if refused["stream timeout"] and followed:
+        yield "no setpoint came for longer than the autopilot waits: the pretended vehicle hovered, as a real one does"
 
 
 def windowed(footage: ReplayCamera, link: ReplayLink, target: Box, config: Config) -> WindowCamera:

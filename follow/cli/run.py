@@ -362,7 +362,10 @@ def fly_prepared(
             for take in sees:
                 take(tick)
 
-        fly(Parts(camera, link, tracker, target, servo, safety, meter, detector), operator, see, command.seconds)
+        parts = Parts(camera, link, tracker, target, servo, safety, meter, detector)
+        is_footage = not is_live(command.camera) and not command.camera.startswith(SCENE)
+        over = "the footage is over" if is_footage else "the flight is over"
+        fly(parts, operator, see, command.seconds, frames_over=over)
     began = operator.changes.followed or not command.follow
     if not began and (line := operator.changes.early_end()):
         report(line)

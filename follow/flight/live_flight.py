@@ -116,10 +116,11 @@ def fly(
     record: Callable[[Tick], None],
     seconds: float = 0.0,
     pause: Callable[[], None] = wait_a_round,
+    frames_over: str = "the flight is over",
 ) -> None:
     """Fly until the camera ends, the operator leaves or `seconds` are over (0: no limit), then ramp down.
 
-    An error inside the loop is raised again after the ramp.
+    `frames_over` is the reason to leave when the camera ends.  An error inside the loop is raised again after the ramp.
     """
     p, service = parts, Service()
     camera = NewPictures(p.camera)
@@ -138,8 +139,10 @@ def fly(
                 keys.read_into(operator)
                 began_t_s = tick.state.t_s if began_t_s is None else began_t_s
                 if operator.leaving or 0.0 < seconds <= tick.state.t_s - began_t_s:
+                    why = operator.leaving or "the flight is over"
                     break
-            why = operator.leaving or "the flight is over"
+            else:
+                why = operator.leaving or frames_over
         finally:
             service.stopping()
             operator.report(f"leaving: {why}")

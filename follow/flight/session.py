@@ -89,12 +89,16 @@ def fly(
     truth: Callable[[Tick], Box | None],
     *,
     is_ordered: bool = True,
+    start: Box | None = None,
 ) -> bool:
     """Record every tick and report every change of mode until the frames end.
 
-    False if a person stopped it, or if FOLLOW `is_ordered` and never began; both are reported.
+    False if a person stopped it, or if FOLLOW `is_ordered` and never began; both are reported.  A box of `start` with
+    too few pixels is reported even if the tracker does not find it.
     """
     changes, finished = ModeChanges(report), True
+    if start is not None:
+        changes.tell_tiny(start, 0.0)
     try:
         for tick in ticks:
             recorder.tick(tick, truth(tick))
@@ -119,6 +123,8 @@ def conclude(
     files = [name for name in FILES if (out / name).exists() and (out / name).stat().st_size]
     look = f"; open it with: follow inspect {out}" if "flight.rrd" in files else ""
     terminal.report(f"recorded in {out}: {', '.join(files)}{look}")
+    if not as_json:
+        terminal.report("what each figure means: docs/after_a_flight.md, under Fields of summary.json")
     if failure:
         raise RecordingError(failure)
     if not finished:

@@ -18,6 +18,11 @@ CALIBRATION = "camera.yaml"
 """The copy of the calibration file that a flight was flown with."""
 
 
+def flight_folder(path: Path) -> Path:
+    """The folder of a flight, named itself or by one of its files."""
+    return path.parent if path.name in FILES and path.is_file() else path
+
+
 @contextlib.contextmanager
 def claimed(out: Path) -> Generator[None, None, None]:
     """Make the folder and lock it against our other programs; a new folder that stays empty is removed.

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from follow.messages import Tick
 from follow.recording.summary import Figures
@@ -55,6 +56,7 @@ class FootageScore:
         self._rounds = 0
         self._frames = 0
         self._offsets: list[tuple[float, float]] = []
+        self._times_s: list[float] = []
 
     def add(self, tick: Tick) -> Box | None:
         """Add one round; returns the true box in this round's image, if there is one."""
@@ -69,6 +71,7 @@ class FootageScore:
         true = self._truth.box(index)
         if true is None:
             return None
+        self._times_s.append(tick.frame.t_s)
         half_w, half_h = window.w / 2, window.h / 2
         self._offsets.append(((true.centre_x - window.centre_x) / half_w, (true.centre_y - window.centre_y) / half_h))
         return true.moved(-window.x, -window.y).zoomed(1 / tick.frame.scale)
@@ -88,10 +91,25 @@ class FootageScore:
         if self._closed_loop:
             window = self._window()
             offsets = np.array(self._offsets)
-            figures["in_view"] = round(float(np.mean(np.all(np.abs(offsets) <= 1.0, axis=1))), 5)
+            figures["in_view"] = round(1.0 - float(np.mean(self._outside())), 5)
             half_widths = offsets * (1.0, window.h / window.w)
             figures["centring_rms"] = round(float(np.sqrt(np.mean(np.sum(half_widths**2, axis=1)))), 5)
         return figures
+
+    def left_window(self) -> str:
+        """One sentence if the target's centre left the moving window; "" if not, or if there is no such window."""
+        if not self._closed_loop or not self._offsets or not np.any(outside := self._outside()):
+            return ""
+        percent, first_s = 100 * np.mean(outside), self._times_s[int(np.argmax(outside))]
+        return (
+            f"the target left the window: outside in {percent:.0f} % of the annotated frames, first at "
+            f"{first_s:.1f} s; yaw and climb came too late, or the gate forbade them "
+            "(docs/evaluation.md, A window over footage)"
+        )
+
+    def _outside(self) -> NDArray[np.bool_]:
+        """For each annotated frame, whether the target's centre was outside the view."""
+        return np.any(np.abs(np.array(self._offsets)) > 1.0, axis=1)
 
     def shortfall(self) -> str | None:
         """One line if the numbers of rows and frames differ, else None."""

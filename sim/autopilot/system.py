@@ -276,7 +276,7 @@ class AutopilotSystem:
         else:
             results = self.COMMANDS.get(command, AutopilotSystem._unsupported)(self, p, channel)
         if command in NOTED:
-            outcome = ", ".join(result.name for result in results)
+            outcome = ", ".join(result.name for result in results[-1:])  # PX4 acknowledges twice: the second counts
             self._commanded.append(f"{sender(source)} commands {self._described(command, p)}: {outcome}")
         for result in results:
             self._send(channel, dialect.MAVLink_command_ack_message(command, int(result), 0, 0, *source))

@@ -1,11 +1,15 @@
 """The application's own session against the simulated autopilot, in lockstep: orders at different times."""
 
+from functools import partial
+
 import pytest
 
 from follow.control.acquire import Acquire
+from follow.flight import live_flight
 from follow.messages import Autopilot, Mode, Order
 from racf.box import Box
 from racf.track import Track
+from tests.support import fault_rig
 from tests.support.fault_rig import Rig
 
 BOTH = pytest.mark.parametrize("autopilot", list(Autopilot))
@@ -28,6 +32,12 @@ def test_an_order_after_minutes_of_observing_is_flown_like_an_early_one(autopilo
     ranges = [15.0 - s.motion.north_m for s in rig.samples]
     assert min(ranges) > 10.0  # the wanted distance is 12 m
     assert ranges[-1] == pytest.approx(12.0, abs=1.0)
+
+
+def test_frames_that_end_give_their_own_reason_to_leave(monkeypatch):
+    monkeypatch.setattr(fault_rig, "fly", partial(live_flight.fly, frames_over="the footage is over"))
+    rig = Rig(Autopilot.PX4, lambda _rig: None, fault_t_s=99.0, end_t_s=4.0).fly()
+    assert [line for line in rig.lines if line.startswith("leaving: ")] == ["leaving: the footage is over"]
 
 
 @pytest.mark.parametrize("after_s", [0.1, 0.6])

@@ -50,6 +50,22 @@ def test_a_flight_that_sends_nothing_at_its_end_reports_since_when_and_why(round
     assert reported(rounds)[1] == early
 
 
+def test_an_order_that_was_never_given_names_the_reason_that_lasted_longest_and_the_last_one():
+    red = [(Mode.OBSERVE, Reason(Cause.NOT_READY, f"COM_LOW_BAT_ACT is red ({n} of 5)")) for n in range(20)]
+    silent = [(Mode.OBSERVE, Reason(Cause.NOT_READY, "nothing heard from the vehicle for 3 s"))] * 3
+    early = reported([*red, *silent])[1]
+    assert early == (
+        "FOLLOW never began: COM_LOW_BAT_ACT is red, for 10 s; at the end: nothing heard from the vehicle for 3 s"
+    )
+    assert reported(silent)[1] == "FOLLOW never began: nothing heard from the vehicle for 3 s"
+
+
+@pytest.mark.parametrize(("before", "word"), [(BEGUN, "following ended"), ([(Mode.ENGAGE, WAITS)], "ended")])
+def test_only_what_had_begun_is_said_to_be_following_that_ended(before, word):
+    lines, _ = reported([*before, (Mode.ENDED, Reason(Cause.OBSERVE_ORDERED, "the key o"))])
+    assert lines[-1].split(" s: ")[1] == f"{word} (OBSERVE ordered by the key o), vehicle in OFFBOARD"
+
+
 def test_a_flickering_refusal_with_new_figures_is_reported_every_ten_seconds_at_most():
     texts = ["the image does not move with the vehicle (0.0 of {} px): frozen", "the image does not turn ({} of 5 px)"]
     rounds = [(Mode.OBSERVE, Reason(Cause.NOT_READY, texts[n % 2].format(n))) for n in range(60)]  # half a second each

@@ -217,8 +217,9 @@ def test_a_shrunk_source_keeps_its_pixels_and_a_recording_without_rows_has_no_pa
     (out / "ticks.csv").write_text(rows + rows.splitlines()[-1] + "\n")
     assert "holds 5 of 6 rounds" in follow(capfd, "refly", out)[2]
     (out / "ticks.csv").unlink()
-    status, _, err = follow(capfd, "refly", out)
+    status, _, err = follow(capfd, "refly", out / "messages.jsonl.gz")
     assert status == 0
+    assert (out / "refly").is_dir()
     assert "refly.html is not written" in err
 
 

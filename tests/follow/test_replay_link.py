@@ -1,16 +1,21 @@
 """The replayed vehicle and the virtual camera: they respond, and refuse setpoints, as a real autopilot does."""
 
+import json
 import math
 
 import numpy as np
 import pytest
 
 from follow.camera.window import WindowCamera, cut
+from follow.cli.program import main
+from follow.cli.replay import pretended, refusals
+from follow.control.regain import NOT_TAKEN
 from follow.geometry import Intrinsics
 from follow.link.flight_modes import STREAM_TIMEOUT_S
 from follow.link.replay import ReplayLink
 from follow.messages import HOVER, Autopilot, Frame, Setpoint
 from racf.box import Box
+from sim.clip import write
 
 FPS = 30.0
 
@@ -124,3 +129,42 @@ def test_a_window_beyond_the_footage_repeats_its_edge():
     image = np.arange(12, dtype=np.uint8).reshape(3, 4)
     assert cut(image, Box(-2, -1, 3, 3)).tolist() == [[0, 0, 0], [0, 0, 0], [4, 4, 4]]
     assert cut(image, Box(100, 100, 2, 2)).tolist() == [[11, 11], [11, 11]]
+
+
+@pytest.mark.parametrize(
+    ("refused", "followed", "said"),
+    [
+        ((0, 0), True, []),
+        ((0, 1), False, []),
+        ((0, 1), True, ["no setpoint came for longer than the autopilot waits: the pretended vehicle hovered"]),
+        ((3, 0), True, ["the pretended vehicle refused 3 of the setpoints, because they were faster"]),
+    ],
+)
+def test_what_the_vehicle_did_not_fly_is_told_in_sentences_without_what_did_not_occur(refused, followed, said):
+    lines = list(refusals(dict(zip(("too fast", "stream timeout"), refused, strict=True)), followed))
+    assert len(lines) == len(said)
+    assert all(line.startswith(start) for line, start in zip(lines, said, strict=True))
+
+
+def test_a_replay_asks_nobody_to_select_and_names_no_autopilot():
+    lines: list[str] = []
+    report = pretended(lines.append)
+    report(f"9.0 s: {NOT_TAKEN} (12 m from the target's path)")
+    report("0.0 s: follow (the autopilot obeys)")
+    assert lines == [
+        "9.0 s: not taken: another person (12 m from the target's path)",
+        "0.0 s: follow (a pretended vehicle obeys)",
+    ]
+
+
+@pytest.mark.parametrize("still", [False, True])
+def test_a_target_that_left_the_window_is_told_with_the_fraction_and_the_time(capfd, tmp_path, still):
+    truth = write(tmp_path / "clip.mp4", 110)
+    gains = ("--servo.yaw.kp", "0", "--servo.climb.kp", "0", "--servo.feed-forward", "0") if still else ()
+    words = ("replay", tmp_path / "clip.mp4", "--truth", truth, "--ptz", "--out", tmp_path, "--json", *gains)
+    assert main([*map(str, words), "--record.no-pictures"]) == 0
+    out, err = capfd.readouterr()
+    outside = 100 * (1 - json.loads(out)["in_view"])
+    said = f"the target left the window: outside in {outside:.0f} % of the annotated frames, first at "
+    assert (outside > 20) == still
+    assert err.count(said) == (outside > 0)

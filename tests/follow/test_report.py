@@ -67,6 +67,21 @@ def test_the_spans_are_those_of_the_rows(tmp_path):
     assert table.height_m() == pytest.approx(12 * np.tan(0.5))
 
 
+@pytest.mark.parametrize("name", ["flight.rrd", "ticks.csv", "summary.json"])
+def test_a_file_of_the_flight_names_its_folder(tmp_path, name):
+    recorded(tmp_path)
+    (tmp_path / name).touch()
+    assert main(["report", str(tmp_path / name)]) == 0
+    assert (tmp_path / "report.html").is_file()
+
+
+def test_another_file_names_no_flight(tmp_path, capfd):
+    recorded(tmp_path)
+    (tmp_path / "clip.mp4").touch()
+    assert main(["report", str(tmp_path / "clip.mp4")]) == 1
+    assert "give the folder of a flight" in capfd.readouterr().err
+
+
 def test_a_killed_flight_with_a_torn_row_and_no_summary_has_its_page(tmp_path):
     recorded(tmp_path, setup=None)
     (tmp_path / "summary.json").unlink()

@@ -34,7 +34,7 @@ def follow(capfd, *words: object) -> str:
     return err
 
 
-@pytest.mark.parametrize(("w", "h", "said"), [(9.94, 30, "9.94x30"), (1200, 9, "1200x9"), (10, 10, "")])
+@pytest.mark.parametrize(("w", "h", "said"), [(9.975, 24.15, "9x24"), (1200, 8.6, "1200x9"), (10, 10, "")])
 def test_the_warning_names_thing_value_rule_and_remedy_and_only_below_the_bound(w, h, said):
     line = tiny_line(Box(5, 5, w, h))
     assert bool(line) == bool(said)
@@ -47,6 +47,16 @@ def test_a_replay_warns_once(capfd, footage, tmp_path):
     words = ("replay", footage, "--out", tmp_path, "--record.no-pictures", "--target")
     assert follow(capfd, *words, "318,219,8,22").count(f"0.0 s: {SAID}8x22 pixels") == 1
     assert SAID not in follow(capfd, *words, "309,192,22,48")
+
+
+def test_a_replay_warns_also_of_a_target_that_is_never_found(capfd, footage, tmp_path):
+    assert (
+        main(["replay", str(footage), "--out", str(tmp_path), "--record.no-pictures", "--target", "318,219,2,3"]) == 1
+    )
+    lines = capfd.readouterr().err.splitlines()
+    assert [n for n, line in enumerate(lines) if SAID in line] == [0]
+    assert lines[0].startswith(f"0.0 s: {SAID}2x3 pixels; it needs at least 10 on each side")
+    assert not [line for line in lines if "refused" in line or "no setpoint came" in line], "the order was void"
 
 
 def test_a_simulation_warns_once(capfd, tmp_path, monkeypatch):
@@ -114,4 +124,4 @@ def test_racf_track_names_the_frame_in_which_the_target_becomes_tiny(capfd, foot
         racf_cli.main()
     err = capfd.readouterr().err
     assert err.count(SAID) == 1
-    assert f"frame 4: {SAID}9.011x19.66 pixels" in err
+    assert f"frame 4: {SAID}9x20 pixels" in err

@@ -86,6 +86,15 @@ def test_reacquired_says_whether_the_box_came_back_after_hiding(back):
     assert score(rows([MIDDLE] * 90, tracked, visible=visible), CAMERA, 9.0, {}).reacquired is back
 
 
+def test_a_target_that_leaves_the_image_was_not_hidden():
+    away = Box.around(900, 180, 20, 50)
+    visible = [1.0] * 10 + [0.0] * 30 + [1.0] * 50
+    boxes = [MIDDLE] * 10 + [away] * 30 + [MIDDLE] * 50
+    assert score(rows(boxes, visible=visible), CAMERA, 9.0, {}).reacquired is None
+    hides_and_leaves = [MIDDLE] * 20 + [away] * 20 + [MIDDLE] * 50
+    assert score(rows(hides_and_leaves, visible=visible), CAMERA, 9.0, {}).reacquired is True
+
+
 def test_limits_are_checked_again_on_what_was_sent():
     fast = [Setpoint(0.2 * k) for k in range(30)]  # 2 m/s2, at last 5.8 m/s
     s = score(rows([MIDDLE] * 30, sent=fast), CAMERA, 9.0, LIMITS)
