@@ -36,6 +36,9 @@ class Template:
 if __name__ == "__main__":
     if len(sys.argv) != 2:
         sys.exit("usage: evaluate_own_tracker.py DATA")
-    evaluation = racf.evaluate.evaluate(sys.argv[1], trackers=[Template, "racf"])
+    try:
+        evaluation = racf.evaluate.evaluate(sys.argv[1], trackers=[Template, "racf"])
+    except (OSError, ValueError) as error:
+        sys.exit(f"evaluate_own_tracker.py: {error}")
     for table in evaluation.summary:
         print(table.markdown())

@@ -17,6 +17,7 @@ from queue import Empty, SimpleQueue
 from typing import Any
 
 from mavsdk import ComponentType, Configuration, Mavsdk, log_subscribe
+from mavsdk.exceptions import MavsdkError
 from mavsdk.plugins.camera.camera import Camera, CameraError
 from mavsdk.plugins.mavlink_direct import MavlinkDirect
 
@@ -85,7 +86,19 @@ def main(url: str, chosen: tuple[float, ...], seconds: float = 10.0) -> int:
 
 
 if __name__ == "__main__":
-    numbers = tuple(map(float, sys.argv[2].split(","))) if len(sys.argv) == 3 else ()
-    if len(numbers) not in (2, 4):
-        sys.exit("usage: select_with_mavsdk.py URL x,y (a point), or URL left,top,right,bottom (a box)")
-    main(sys.argv[1], numbers)
+    try:
+        numbers = tuple(map(float, sys.argv[2].split(","))) if len(sys.argv) == 3 else ()
+    except ValueError:
+        numbers = ()
+    if len(numbers) not in (2, 4) or not all(0 <= n <= 1 for n in numbers):
+        sys.exit(
+            "usage: select_with_mavsdk.py URL x,y (a point), or URL left,top,right,bottom (a box), all from 0 to 1"
+        )
+    try:
+        main(sys.argv[1], numbers)
+    except MavsdkError as error:
+        sys.exit(f"select_with_mavsdk.py: {sys.argv[1]}: {error}")
+    except Empty:
+        sys.exit(
+            f"select_with_mavsdk.py: no camera of ours on {sys.argv[1]} within {FOUND_S:g} s: does follow run there?"
+        )

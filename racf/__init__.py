@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from racf.tracker import warm_up as warm_up
     from racf.video import Video as Video
 
+    __version__: str
+
 __all__ = ["Box", "Params", "Racf", "Refined", "Refiner", "Track", "Video", "evaluate", "one_core", "preset", "warm_up"]
 
 _HOME = {
@@ -43,6 +45,10 @@ _HOME = {
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib.metadata import version  # noqa: PLC0415 - only when it is used
+
+        return version("follow-me")  # of the one distribution that holds racf, follow and sim
     if name not in __all__:
         raise AttributeError(f"module 'racf' has no attribute {name!r}")
     import importlib  # noqa: PLC0415 - only when a name is used
@@ -53,4 +59,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*__all__, *(name for name in globals() if name.startswith("__"))})
+    return sorted({*__all__, "__version__", *(name for name in globals() if name.startswith("__"))})

@@ -22,6 +22,7 @@ from racf.evaluate.trackers import OPENCV, TrackerSpec, builders_of
 
 FEW = 10  # sequences: over fewer a 95 % bootstrap interval holds the mean in less than 91 % of draws [simulated]
 WIDTH_IN_A_PIPE = 160  # columns: wide enough that no line wraps where no terminal reports its width
+OptionalPath = Annotated[Path | None, tyro.conf.arg(metavar="PATH")]
 Many = tyro.conf.UseAppendAction[tuple[str, ...]]
 
 
@@ -33,11 +34,11 @@ class TrackCommand:
     """Video file, or folder of numbered images."""
     out: Path
     """Text file for the boxes, a line x,y,w,h for each frame, 0-based pixels; a .csv beside it adds the confidence."""
-    init: str | None = None
+    init: Annotated[str | None, tyro.conf.arg(metavar="x,y,w,h")] = None
     """The target in the first frame: x,y,w,h in 0-based pixels.  Not needed with --truth."""
-    truth: Path | None = None
+    truth: OptionalPath = None
     """Annotation in 1-based pixels, a line for each frame: prints precision and AUC."""
-    overlay: Path | None = None
+    overlay: OptionalPath = None
     """Video file (.mp4, .avi or .mkv) to write, with the box, its confidence and the annotation drawn on each frame."""
     tracker: str = "racf"
     """racf, racf-, racf--, bacf, arcf-hc with settings; csrt, kcf, mil, nano, vit; or module:Class.
@@ -67,7 +68,7 @@ class EvalCommand:
     """Start each sequence this many times more, from slightly wrong first boxes."""
     set: Many = ()
     """A setting of all trackers that are run, key=value (key alone: true).  Can be given several times."""
-    table: int | None = None
+    table: Annotated[int | None, tyro.conf.arg(metavar="INT")] = None
     """Lay the results out as this table of the paper, 2 to 5, and run the trackers in it unless boxes are imported."""
     iterations: str = ",".join(map(str, studies.ITERATIONS))
     """ADMM iterations in tables 3 and 4."""
@@ -77,11 +78,11 @@ class EvalCommand:
     """With --out: draw all boxes on frames of this many sequences, those that tell the trackers apart most."""
     json: bool = False
     """Print the figures as JSON on standard output, and nothing else there."""
-    out: Path | None = None
+    out: OptionalPath = None
     """Folder for boxes, tables and plots; an interrupted evaluation goes on from the boxes there."""
     jobs: int = 0
     """Number of processes; 0: one for each core."""
-    dask: str | None = None
+    dask: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS")] = None
     """Run on the Dask cluster with this scheduler address instead (needs the extra `dask`)."""
 
 

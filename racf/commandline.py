@@ -10,11 +10,11 @@ import select
 import signal
 import sys
 from collections.abc import Callable, Sequence
-from importlib.metadata import version
 from typing import Any, TextIO, TypeVar, cast
 
 import tyro
 
+import racf
 from racf.errors import UsageError
 from racf.threads import one_core
 
@@ -25,6 +25,9 @@ CommandT = TypeVar("CommandT")
 _PARSING = re.compile(r"^Error parsing (?!-)\S+: ")  # the prefix before an error from a dataclass of ours
 _VALUE = re.compile(
     r"^Error parsing (-\S+): (?:could not convert string to (float)|invalid literal for int\(\).*): (.*)$"
+)
+_OPTIONAL = re.compile(
+    r"^Error parsing (-\S+): no type matching \S+\|(INT|FLOAT) could be instantiated from \[(.*)\]\.?$"
 )
 _OPTION = re.compile(r"^Error parsing (-\S+): (.*)$")
 _CHOICE = re.compile(r"^invalid choice (.+) for argument '(\S+)'\. Expected one of \((.*)\)\.$")
@@ -95,7 +98,7 @@ def parse(
 ) -> object:
     """The command in `argv`; raises UsageError if it cannot be parsed, SystemExit(0) after `--help` or `--version`."""
     if list(sys.argv[1:] if argv is None else argv) == ["--version"]:
-        print(f"{prog} {version('follow-me')}")  # noqa: T201 - the requested output
+        print(f"{prog} {racf.__version__}")  # noqa: T201 - the requested output
         raise SystemExit(0)
     complaint = io.StringIO()
     try:
@@ -122,6 +125,8 @@ def one_line(framed: str) -> str:
     text = " ".join(" ".join(sentence).split())
     if found := _VALUE.match(text):
         return f"{found[1]} must be a {'' if found[2] else 'whole '}number, not {found[3]}"
+    if found := _OPTIONAL.match(text):
+        return f"{found[1]} must be a {'' if found[2] == 'FLOAT' else 'whole '}number, not {found[3]}"
     if found := _OPTION.match(text):
         return f"{found[1]}: {found[2]}"
     if found := _CHOICE.match(text):

@@ -5,13 +5,14 @@ Real-Time UAV Tracking" (2021); [ARCF] the published parameters of ARCF-HC, whos
 says it uses; [measured] points to the tables in docs/notebook.md and docs/study.md.
 """
 
-import difflib
 import math
 import numbers
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from typing_extensions import Self
+
+from racf.nearest import hint
 
 _FRACTIONS = (
     "learning_rate", "scale_learning_rate", "refine_min_iou", "refine_blend", "strict_iou",
@@ -185,9 +186,7 @@ class Params:
                 base = self.robust(bool(_parse(name, text, bool)))
             elif name not in types:
                 known = sorted([*types, "robust"])
-                near = difflib.get_close_matches(name, known, n=3)
-                hint = f"did you mean {' or '.join(near)}?" if near else f"it has {', '.join(known)}"
-                raise ValueError(f"the tracker has no setting {name!r}; {hint}")
+                raise ValueError(f"the tracker has no setting {name!r}; {hint(name, known)}")
             else:
                 values[name] = _parse(name, text, types[name])
         return replace(base, **values)
@@ -226,7 +225,7 @@ def preset(text: str) -> Params:
     """
     name, settings = split_settings(text)
     if name not in PRESETS:
-        raise ValueError(f"there is no tracker {name!r}; there are {', '.join(PRESETS)}")
+        raise ValueError(f"there is no tracker {name!r}; {hint(name, PRESETS)}")
     return PRESETS[name].with_settings(dict(settings))
 
 

@@ -1,10 +1,12 @@
 """Imports run one way: racf <- follow <- sim, and from room to room inside follow."""
 
 import ast
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
 
+import follow
 import racf
 
 ROOT = Path(__file__).parents[1]
@@ -134,5 +136,6 @@ def test_every_public_name_of_the_tracker_exists():
     assert all(callable(getattr(racf, name)) for name in racf.__all__ if name != "evaluate")
     assert set(racf.__all__) <= set(dir(racf))
     assert racf.evaluate.__name__ == "racf.evaluate"
+    assert racf.__version__ == follow.__version__ == version("follow-me")
     with pytest.raises(AttributeError, match="has no attribute 'two_cores'"):
         _ = racf.two_cores

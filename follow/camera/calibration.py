@@ -177,8 +177,11 @@ def _document(data: bytes) -> Mapping[str, object]:
         storage = cv2.FileStorage(_for_opencv(text), cv2.FileStorage_READ | cv2.FileStorage_MEMORY)
         held = _plain(storage.root())  # nodes are valid only while their storage lives
     except (cv2.error, SystemError) as error:
-        why = re.findall(r"'\(\d+\): ([^']*)'", str(error.__cause__ or error))
-        raise ValueError(f"it must be YAML as OpenCV or ROS write it{': ' if why else ''}{''.join(why)}") from None
+        found = re.search(r"'\((\d+)\): (.*)'", " ".join(str(error.__cause__ or error).split()))
+        why = f", but OpenCV says {found[2]!r}" if found else ""
+        raise ValueError(
+            f"it must be YAML as OpenCV or ROS write it{why}; `follow calibrate` makes such a file"
+        ) from None
     if not isinstance(held, dict):
         raise ValueError("it must be YAML with a name before each value")
     return cast(dict[str, object], held)

@@ -40,6 +40,14 @@ Within the coded data 0xff is followed by 0x00 or a restart marker; a thumbnail'
 """
 LOOK_BACK = 64  # bytes before the new data that are searched again: an end marker may be split between two reads
 MOST_JPEG = 16_000_000  # bytes of one image: 3840x2160 of the best quality takes 10 MB
+PACKAGES = {
+    "rpicam-vid": "rpicam-apps",
+    "libcamera-vid": "rpicam-apps (which calls it rpicam-vid)",
+    "gst-launch-1.0": "gstreamer1.0-tools",
+    "ffmpeg": "ffmpeg",
+    "srt-live-transmit": "srt-tools",
+}
+"""Program -> the package of Debian, Ubuntu and Raspberry Pi OS that has it."""
 BARE_FPS = "30"  # a bare stream's nominal rate: its stamps are not used
 
 
@@ -72,6 +80,22 @@ def _pipe_size(pipe: int) -> int:
     return USUAL_PIPE if command is None else fcntl.fcntl(pipe, command)
 
 
+def words_of(name: CameraName) -> list[str]:
+    """The program and its arguments.  Raises CameraError for quotes that do not match."""
+    try:
+        return shlex.split(name.address)
+    except ValueError as error:
+        raise CameraError(f"camera {name.text!r}: the program cannot be started: {error}") from None
+
+
+def missing_program(name: CameraName) -> str:
+    """The error for a program that is not there, with what installs it."""
+    program = words_of(name)[0]
+    package = PACKAGES.get(program)
+    how = f"sudo apt install {package}" if package else "install it, or give its whole path"
+    return f"camera {name.text!r}: there is no program {program!r} here: {how}"
+
+
 class RunningProgram:
     """A program with its standard output as a file, its last line of error, and the arrival time of its data."""
 
@@ -80,12 +104,17 @@ class RunningProgram:
         self.last_error = ""
         self.timeout_s = OPEN_S
         try:
-            words = shlex.split(name.address)
             self._process = subprocess.Popen(
-                words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True
+                words_of(name),
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                start_new_session=True,
             )
-        except (OSError, ValueError) as error:
-            why = getattr(error, "strerror", None) or str(error)
+        except FileNotFoundError:
+            raise CameraError(missing_program(name)) from None
+        except OSError as error:
+            why = error.strerror or str(error)
             raise CameraError(f"camera {name.text!r}: the program cannot be started: {why}") from None
         assert self._process.stdout is not None
         self._output = self._process.stdout.fileno()

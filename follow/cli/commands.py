@@ -79,6 +79,10 @@ class ReplayCommand:
     """TOML file of the settings that --help-all lists, as docs/service/settings.toml. Options override it."""
     config: Settings = field(default_factory=Config)
 
+    def __post_init__(self) -> None:
+        if self.fps is not None and not 0 < self.fps <= 1000:
+            raise ValueError(f"--fps lies above 0, up to 1000, not {self.fps:g}")
+
 
 @dataclass(frozen=True, slots=True)
 class SimCommand:

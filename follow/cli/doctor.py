@@ -11,11 +11,12 @@ import cv2
 
 from follow.camera import CameraError
 from follow.camera.live import LiveVideo
-from follow.camera.names import is_live
+from follow.camera.names import CameraKind, is_live, parse_camera
 from follow.camera.sizes import shrink_for
 from follow.camera.video import open_replay
 from follow.cli.commands import DoctorCommand
 from follow.cli.layers import SCENE
+from follow.cli.named import require_camera, require_link
 from follow.cli.wave import wave
 from follow.config import CameraConfig
 from follow.flight import preflight as doctor
@@ -31,6 +32,7 @@ from follow.operator.terminal import Terminal
 from racf.box import Box
 from racf.commandline import UsageError, plain
 
+PEER_FIX = "look at the address, and what runs there"
 CAMERA_S = 3.0  # time over which the gaps between frames are measured
 BOX_SHARE = 6  # the timed target is a sixth of the image's height, like a person some 10 m away
 
@@ -48,6 +50,10 @@ def diagnose(command: DoctorCommand, drawn: CameraConfig | None = None) -> None:
     """
     if command.out.exists() and not command.out.is_dir():
         raise UsageError(f"--out must be a folder; {command.out} is a file")
+    if command.camera is not None and (is_live(command.camera) or command.camera.startswith(SCENE)):
+        require_camera(command.camera)  # footage that is not there is a finding
+    if command.link is not None:
+        require_link("--link", command.link)
     terminal = Terminal()
     findings: list[Finding] = []
 
@@ -88,7 +94,7 @@ def look(source: str, tracker: str, out: Path, terminal: Terminal) -> list[Findi
         with LiveVideo(source, report, shrink=shrink) if live else open_replay(source, None, report, shrink) as camera:
             findings = doctor.check_camera(camera, time.monotonic if live else None, kept, CAMERA_S)
     except CameraError as error:
-        return [Finding("camera", Health.RED, str(error), "look at the source's name and cable")]
+        return [Finding("camera", Health.RED, str(error), camera_fix(source, str(error)))]
     if len(kept) > 1:
         rows, columns = kept[0].image.shape[:2]
         try:
@@ -119,8 +125,22 @@ def listen(uri: str, system_id: int | None, key: Path | None, report: Notify) ->
         return [Finding("signing", Health.RED, f"{why}; the link is not checked", "32 bytes in it, and chmod 600")]
     try:
         with connect(uri, system_id, signing=signing) as link:
+            if link.trouble:  # refused: nobody is there to be heard
+                return [Finding("link", Health.RED, link.trouble, PEER_FIX)]
             findings = check_vehicle(link.client, link.listen, time.monotonic, report)
+            if link.client.vehicle_id is None and link.trouble:
+                return [Finding("link", Health.RED, link.trouble, PEER_FIX)]
             signed = check_signing(link.client, signing is not None, link.reach)
             return [*findings, signed, check_sending(link.unsent)]
     except LinkError as error:
-        return [Finding("link", Health.RED, str(error), "look at its name, cable and permissions")]
+        return [Finding("link", Health.RED, str(error))]  # which says what to do
+
+
+def camera_fix(source: str, error: str) -> str:
+    """What to look at if a device or a stream gives nothing; "" if the error itself says what to do."""
+    if not is_live(source) or "cannot be opened" not in error:
+        return ""
+    kind = parse_camera(source).kind
+    return {CameraKind.DEVICE: "look at its name and cable", CameraKind.STREAM: "look at its address and network"}.get(
+        kind, ""
+    )

@@ -11,13 +11,15 @@ from functools import partial
 from typing import Protocol
 
 from follow.cli.commands import RunCommand
+from follow.cli.named import require_link
 from follow.config import Config
 from follow.geometry import Intrinsics
 from follow.link import LinkError
+from follow.link.addresses import parse_address
 from follow.link.connection import MavlinkLink
 from follow.link.packets import Message
 from follow.link.signing import Signing
-from follow.link.transports import Reach, open_transport, parse_address, reach_of
+from follow.link.transports import Reach, open_transport, reach_of
 from follow.messages import Notify, Tick
 from follow.operator.consoles import Consoles
 from follow.operator.ground import CarriesPackets, DirectSide, GroundSide, LoneVehicle
@@ -73,9 +75,9 @@ def carried_alone(clock: Callable[[], float]) -> Carrier:
 
 
 def check_ground(command: RunCommand) -> None:
-    """Raise UsageError or LinkError for invalid options of the ground station."""
+    """Raise UsageError for invalid options of the ground station."""
     if command.ground not in (None, LINK):
-        parse_address(command.ground)
+        require_link("--ground", command.ground)
         if is_same_place(command.link.removeprefix("mavsdk+").replace("://", ":"), command.ground):
             raise UsageError(
                 f"--ground {command.ground} and --link {command.link} are one place, and only one of them can have it: "

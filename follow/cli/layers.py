@@ -10,7 +10,7 @@ import contextlib
 import functools
 import io
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import MISSING, field, fields, is_dataclass, make_dataclass, replace
 from enum import Enum
 from pathlib import Path
@@ -35,6 +35,7 @@ from follow.config import PRESETS, Config, TargetKind
 from follow.recording.exact import read_setup
 from follow.recording.folder import CALIBRATION, flight_folder
 from racf.commandline import UsageError, parse
+from racf.nearest import hint
 
 PROG = "follow"
 ABOUT = "Keep a target in view: with PX4, ArduPilot, footage or a simulated flight."
@@ -105,6 +106,11 @@ def from_scene(scenario: str, flown: Config, bare: Any) -> frozenset[str]:
         for name in cast("Table", table)
         if getattr(getattr(flown, branch), name) != getattr(getattr(bare, branch), name)
     )
+
+
+def no_scenario(name: str, known: Iterable[str]) -> UsageError:
+    """The error for a scenario that does not exist: one sentence, whichever option named it."""
+    return UsageError(f"there is no scenario {name!r}; {hint(name, known, '`follow sim --list` prints their names')}")
 
 
 def below(words: Sequence[str], scenario: str | None = None, *, suggests: bool = True) -> Config:

@@ -17,7 +17,7 @@ from follow.operator.page.exchange import Exchange
 from follow.operator.terminal import Terminal
 from follow.safety.limits import Limits
 from follow.selection import KeptStandoff
-from racf.commandline import UsageError
+from racf.commandline import UsageError, plain
 
 NEEDS = ("starlette", "uvicorn", "websockets")
 
@@ -31,15 +31,18 @@ class PageOptions:
 
 
 def page_options(page: str | None, token_file: Path | None) -> PageOptions | None:
-    """The options of the command line; None without a page.  Raises UsageError, ValueError, OSError."""
+    """The options of the command line; None without a page.  Raises UsageError."""
     if page is None:
         if token_file is not None:
             raise UsageError("--page-token needs --page HOST:PORT")
         return None
-    address = parse_page_address(page)
     if missing := [name for name in NEEDS if find_spec(name) is None]:
         raise UsageError(f"--page needs {', '.join(missing)}: pip install '.[page]' in the clone")
-    token = "" if token_file is None else read_token(token_file)
+    try:
+        address = parse_page_address(page)
+        token = "" if token_file is None else read_token(token_file)
+    except (OSError, ValueError) as error:
+        raise UsageError(plain(error) if isinstance(error, OSError) else str(error)) from None
     return PageOptions(address, token or ("" if address.is_local else new_token()))
 
 

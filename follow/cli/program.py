@@ -10,6 +10,7 @@ from follow.camera import CameraError
 from follow.cli.commands import (
     CalibrateCommand,
     DoctorCommand,
+    InspectCommand,
     ReflyCommand,
     ReplayCommand,
     ReportCommand,
@@ -40,6 +41,10 @@ def execute(words: Sequence[str]) -> None:
             check_view(command.view)
         except ValueError as error:
             raise UsageError(str(error)) from None
+    if isinstance(command, SimCommand | ReportCommand | InspectCommand):
+        from follow.cli.named import require_named
+
+        require_named(command)
     if isinstance(command, ReplayCommand):
         from follow.cli.replay import replay
 

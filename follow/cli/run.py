@@ -1,7 +1,6 @@
 """`follow run`: a real camera or a drawn scene, and a vehicle behind a MAVLink connection."""
 
 import contextlib
-import difflib
 import logging
 import signal
 import time
@@ -15,7 +14,7 @@ from typing import Any
 from follow.camera import Camera
 from follow.camera.calibration import described
 from follow.camera.live import LiveVideo
-from follow.camera.names import CameraKind, CameraName, is_camera, is_live, parse_camera
+from follow.camera.names import is_camera, is_live, parse_camera
 from follow.camera.realtime import RealTime
 from follow.camera.recent import RecentFrames
 from follow.camera.sizes import shrink_for, whole
@@ -25,6 +24,7 @@ from follow.cli.detector import check_detector, open_detector
 from follow.cli.ground import carried_by, check_ground, ground_sides
 from follow.cli.height import height_conflict, height_line
 from follow.cli.layers import SCENE, from_scene
+from follow.cli.named import require_camera, require_device, require_key, require_link
 from follow.cli.page import consoles_of, desk_of, open_page, page_options
 from follow.cli.settings import as_toml, scene_values
 from follow.cli.sim import Referee, believed_camera, scene_camera
@@ -47,7 +47,6 @@ from follow.link.connection import MavlinkLink, connect
 from follow.link.dry_run import DryRunLink
 from follow.link.signing import Signing
 from follow.link.tlog import Tlog
-from follow.link.transports import parse_address
 from follow.messages import Autopilot, Notify, Tick
 from follow.operator.authority import Keys, Operator
 from follow.operator.autopilot_texts import AutopilotTexts
@@ -62,6 +61,7 @@ from follow.safety.gate import Safety
 from follow.safety.limits import NEVER_S
 from racf.box import Box
 from racf.commandline import UsageError
+from racf.nearest import hint
 from racf.tracker import warm_up
 from sim.scenarios import SCENARIOS, build_live
 
@@ -124,31 +124,23 @@ def open_scene(command: RunCommand, link: Link, drawn: CameraConfig | None = Non
 
 
 def check(command: RunCommand) -> None:
-    """Raise UsageError, LinkError or CameraError for errors that can be found without a vehicle."""
+    """Raise UsageError for errors that can be found without a vehicle."""
     if command.target is not None:
         box_of(command.target)
     elif not command.camera.startswith(SCENE) and command.ground is None and command.page is None:
         raise UsageError("what is to be followed? give --target x,y,w,h, or --page or --ground to point at it later")
     check_ground(command)
     check_detector(command.detector)
-    if not command.link.startswith("mavsdk+"):
-        parse_address(command.link)
-    if is_live(command.camera):
-        parse_camera(command.camera)
-    elif not command.camera.startswith(SCENE) and not Path(command.camera).exists():
-        raise UsageError(
-            f"camera {command.camera!r} is not a file or folder, a device (0, /dev/video0), "
-            "a stream (rtsp://HOST/PATH), a program (exec:PROGRAM), picamera2 or a drawn scene (scene:NAME)"
-        )
+    require_link("--link", command.link)
+    require_key(command.signing_key)
+    require_camera(command.camera)
     for name in command.waive:
         check_waiver(name)
     name = command.camera.removeprefix(SCENE)
-    if name != command.camera and name not in SCENARIOS:
-        raise UsageError(f"there is no scene {name!r}; there are {', '.join(SCENARIOS)}")
     if name == command.camera or command.config.camera.down_deg is not None:  # else the angle depends on the autopilot
         require_height(command.config)
     if is_live(command.camera):  # last, so that a command can be judged where its camera is not
-        check_device(parse_camera(command.camera))
+        require_device(parse_camera(command.camera))
 
 
 def require_height(config: Config) -> None:
@@ -157,20 +149,12 @@ def require_height(config: Config) -> None:
         raise UsageError(conflict)
 
 
-def check_device(camera: CameraName) -> None:
-    """Raise UsageError for a device that is not there, before the wait for the vehicle."""
-    if camera.kind is CameraKind.DEVICE and not Path(camera.address).exists():
-        there = ", ".join(sorted(str(path) for path in Path("/dev").glob("video*"))) or "none: is it plugged in?"
-        raise UsageError(f"there is no camera {camera.address}; there are {there}")
-
-
 def check_waiver(name: str) -> None:
     """Raise UsageError for a name that no check has, on either autopilot."""
     known = [*CHECKS, *(parameter for autopilot in Autopilot for parameter in names(autopilot))]
     if name not in known:
-        begin = [check for check in known if name and check.startswith(name)]
-        near = ", ".join(begin or difflib.get_close_matches(name, known, cutoff=0.5) or known)
-        raise UsageError(f"--waive {name} is not a check; near it are {near}")
+        printed = "give a name that follow doctor prints in red, as battery or GF_ACTION"
+        raise UsageError(f"--waive {name} is not a check; {hint(name, known, printed)}")
 
 
 def inspect(command: RunCommand, link: MavlinkLink) -> list[Finding]:

@@ -4,8 +4,8 @@ Each layer of settings overrides those before it: defaults, scenario, kind of ta
 file gives one line that names the file, the setting, the rule and the value.
 """
 
-import difflib
 import json
+import re
 import reprlib
 import sys
 from collections.abc import Collection, Iterator, Mapping
@@ -14,8 +14,10 @@ from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar, cast
 
+from follow.cli.described import sentences
 from follow.config import Config
 from racf.commandline import UsageError
+from racf.nearest import close, question
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -29,6 +31,9 @@ BranchT = TypeVar("BranchT", bound="DataclassInstance")
 
 Table = Mapping[str, object]
 """Settings as in a TOML file: a table for each branch."""
+
+SYNONYMS = {"max": "maximum", "most": "maximum", "min": "minimum", "least": "minimum", "altitude": "height"}
+"""A word that a person may type -> the one that the settings' descriptions use."""
 
 DERIVED = "derived"
 """The table of a recorded file with the values derived from the flight's camera or scene; reading skips it, because
@@ -91,7 +96,7 @@ def _branch(default: BranchT, table: object, source: str, name: str) -> BranchT:
     for key, value in cast(Mapping[str, object], table).items():
         path = f"{name}.{key}" if name else key
         if key not in known:
-            raise UsageError(f"{source}: there is no setting {path!r}; {_nearest(key, known)}")
+            raise UsageError(f"{source}: there is no setting {path!r}; {_nearest(key, default)}")
         values[key] = _value(known[key], value, source, path)
     try:
         return replace(default, **values)
@@ -99,14 +104,23 @@ def _branch(default: BranchT, table: object, source: str, name: str) -> BranchT:
         raise UsageError(f"{source}: {f'{name}: ' * bool(name)}{error}") from None
 
 
-def _nearest(key: str, known: Mapping[str, object]) -> str:
-    """A hint about a wrong name: the nearest setting of its table, or of an inner table; else the list of all."""
-    if near := difflib.get_close_matches(key, known, n=1):
-        return f"the nearest is {near[0]!r}"
-    for table, branch in known.items():
-        if is_dataclass(branch) and key in (f.name for f in fields(branch)):
+def _nearest(key: str, branch: "DataclassInstance") -> str:
+    """A hint about a wrong name: a setting that resembles it or means the same, its right table; else all names."""
+    known = {f.name: getattr(branch, f.name) for f in fields(branch)}
+    for table, inner in known.items():
+        if is_dataclass(inner) and key in (f.name for f in fields(inner)):
             return f"{key!r} belongs under [{table}]"
-    return f"there are {', '.join(known)}"
+    return question(close(key, known) or _meant(key, branch)) or f"there are {', '.join(known)}"
+
+
+def _meant(key: str, branch: "DataclassInstance") -> list[str]:
+    """The settings whose descriptions hold the most words of `key`: ceiling_m for max_altitude_m."""
+    words = {SYNONYMS.get(word, word) for word in key.lower().split("_") if len(word) > 2}
+    held = {
+        name: len(words & set(re.findall(r"[a-z]+", text.lower()))) for name, text in sentences(type(branch)).items()
+    }
+    most = max(held.values(), default=0)
+    return [name for name, count in held.items() if count == most > 0]
 
 
 def _value(default: object, value: object, source: str, name: str) -> object:

@@ -11,7 +11,7 @@ from typing import Any, cast
 from follow.cli.commands import SimCommand, lens_of
 from follow.cli.detector import check_detector, simulated_detector
 from follow.cli.height import height_report
-from follow.cli.layers import from_scene
+from follow.cli.layers import from_scene, no_scenario
 from follow.cli.page import page_options
 from follow.cli.settings import as_toml
 from follow.config import CameraConfig, Config, resolve
@@ -29,7 +29,6 @@ from follow.recording.recorder import Recorder, RecordingError
 from follow.recording.summary import Figures
 from follow.safety.gate import Safety
 from racf.box import Box
-from racf.commandline import UsageError
 from racf.parallel import each
 from racf.threads import one_core
 from sim.camera import CameraSettings, SceneCamera
@@ -187,7 +186,7 @@ def sim(command: SimCommand, settings_of: Callable[[str], Config], bare: Any) ->
     if command.list:
         sys.stdout.write("".join(f"{name:<20} {s.about}\n" for name, s in SCENARIOS.items()))
     elif command.scenario not in SCENARIOS:
-        raise UsageError(f"scenario {command.scenario!r} is not known; known are {', '.join(SCENARIOS)}")
+        raise no_scenario(command.scenario, SCENARIOS)
     elif command.all:
         sim_all(command, {name: settings_of(name) for name in SCENARIOS}, bare, terminal)
     else:

@@ -35,6 +35,7 @@ STRIDES = (8, 16, 32)  # of YOLOX
 USUAL_SIZE = 640  # of a network that takes any size
 GREY = 114  # what YOLOX and YOLOv8 pad with
 SSD_FIELDS = 7
+NOT_ONNX = "it is not an ONNX file: export your network as one, see docs/detector.md"
 BYTES, VARINT, FIXED64, FIXED32 = 2, 0, 1, 5  # wire types of Protocol Buffers
 
 
@@ -43,8 +44,8 @@ class Detector:
 
     def __init__(self, path: Path) -> None:
         data = path.read_bytes()
-        self._size = input_size(data) or USUAL_SIZE
         try:
+            self._size = input_size(data) or USUAL_SIZE
             self._run, output = started(data, np.full((1, 3, self._size, self._size), GREY, np.float32))
             self._kind = kind_of(output, self._size)
         except ValueError as error:
@@ -220,7 +221,7 @@ def input_size(model: bytes) -> int:
         found = [part for message in found for part in parts(message, number)][:1]  # the first input
     sides = [next(iter(numbers(dimension, 1)), 0) for shape in found for dimension in parts(shape, 1)]
     if len(sides) != 4:
-        raise ValueError("it is not an ONNX network with one image as its first input")
+        raise ValueError("it is not an ONNX network with one image as its first input: see docs/detector.md")
     if sides[2] != sides[3]:
         raise ValueError(f"its input is {sides[3]}x{sides[2]} pixels, not square")
     return sides[2]
@@ -251,7 +252,7 @@ def fields(message: bytes) -> list[tuple[int, bytes | int]]:
         if kind == BYTES:
             length, at = varint(message, at)
         if kind not in (BYTES, FIXED64, FIXED32) or at + length > len(message):
-            raise ValueError("it is not an ONNX file")
+            raise ValueError(NOT_ONNX)
         found.append((number, message[at : at + length]))
         at += length
     return found
@@ -266,4 +267,4 @@ def varint(message: bytes, at: int) -> tuple[int, int]:
         at, shift = at + 1, shift + 7
         if byte < 128:
             return value, at
-    raise ValueError("it is not an ONNX file")
+    raise ValueError(NOT_ONNX)

@@ -35,6 +35,7 @@ MOST = {
     "standoff_m": 200.0,  # A person is three pixels high there, in 640x360.
     "orbit_m_s": 20.0,  # The gate's fastest.
     "abeam_m_s": 20.0,  # The gate's fastest.
+    "velocity_filter_s": 5.0,  # A walk's turn takes two seconds.
 }
 """Largest plausible values: larger ones are in another unit."""
 
@@ -148,6 +149,7 @@ class Servo:
             for pid in (self.yaw, self.climb, self.approach, self.aside):
                 pid.reset()
         if estimate.seen_t_s == NEVER or wanted.mode == HOVER_HERE:
+            self.moves = None  # else the next target's velocity would begin at this one's
             return Setpoint()
         desired = self.desired(estimate, positions_rate(estimate, state), dt)
         forward, right = ned_to_heading(estimate.drift_north_m_s, estimate.drift_east_m_s, state.yaw_rad)
@@ -179,10 +181,13 @@ class Servo:
         """Return the estimate with the target's velocity low-pass filtered; large changes are filtered less.
 
         While the vehicle pitches, an image whose time is wrong by 10 ms makes the target appear to move.  Fed forward
-        unfiltered, that motion pitches the vehicle again: a limit cycle.
+        unfiltered, that motion pitches the vehicle again: a limit cycle.  The price: the velocity of a target that
+        brakes steadily, by 0.5 to 1.5 m/s², counts as 0.15 to 0.29 m/s too high.
         """
         n, e = self.moves or (estimate.north_m_s, estimate.east_m_s)
         north, east = estimate.north_m_s - n, estimate.east_m_s - e
+        if not math.isfinite(north + east):
+            return estimate  # not kept: the gate judges it
         slow_s = self.config.velocity_filter_s / (1.0 + (math.hypot(north, east) / CHANGES_M_S) ** 2)
         part = dt / (slow_s + dt) if dt > 0 else 0.0
         self.moves = n + part * north, e + part * east

@@ -74,6 +74,11 @@ class MavlinkLink:
         """Who else can send on this link: nobody off this machine, nobody off the cable, or anybody on the network."""
         return self._transport.reach()
 
+    @property
+    def trouble(self) -> str:
+        """Why nothing comes, as far as the transport itself knows; "" if it does not."""
+        return self._transport.trouble()
+
     def state(self) -> VehicleState:
         """The vehicle's state now."""
         self.pump()
@@ -131,7 +136,7 @@ class MavlinkLink:
         `report` gets a line about what is missing every WAITING_EVERY_S.
         """
         began_s = time.monotonic()
-        said_s, end_s = began_s, began_s + timeout_s
+        said_s, end_s, told = began_s, began_s + timeout_s, ""
         while True:
             state = self.state()
             known = {
@@ -143,10 +148,11 @@ class MavlinkLink:
             if not missing:
                 return
             if time.monotonic() > end_s:
-                raise LinkError(
-                    f"no {' and no '.join(missing)} came within {timeout_s:g} s: look at address, port, baud rate, "
-                    "cable and power; a position needs GPS lock"
-                )
+                why = self.trouble or "look at address, port, baud rate, cable and power; a position needs GPS lock"
+                raise LinkError(f"no {' and no '.join(missing)} came within {timeout_s:g} s: {why}")
+            if self.trouble not in ("", told):
+                told = self.trouble
+                report(f"{told}; still trying, for up to {timeout_s:g} s")
             if time.monotonic() > said_s + WAITING_EVERY_S:
                 said_s = time.monotonic()
                 report(f"waiting: no {' and no '.join(missing)} yet, {said_s - began_s:.0f} of {timeout_s:g} s")

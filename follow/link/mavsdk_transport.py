@@ -23,6 +23,7 @@ from follow.link.transports import Reach, reach_of
 log = logging.getLogger(__name__)
 
 LEVELS = {LogLevel.DEBUG: logging.DEBUG, LogLevel.INFO: logging.INFO, LogLevel.WARN: logging.WARNING}
+LOOK_AT = "address, port, baud rate, cable and power"
 KINDS: dict[str, Callable[..., Message]] = {kind.msgname: kind for kind in dialect.mavlink_map.values()}
 FIELDS = {kind.msgname: kind.fieldnames for kind in dialect.mavlink_map.values()}
 
@@ -45,7 +46,7 @@ class MavsdkTransport:
         system = self._mavsdk.first_autopilot(timeout_s)
         if system is None:
             self._mavsdk.destroy()
-            raise LinkError(f"MAVSDK heard no autopilot on {url} within {timeout_s:g} s")
+            raise LinkError(f"MAVSDK heard no autopilot on {url} within {timeout_s:g} s: look at {LOOK_AT}")
         if system_id is None and system.get_system_id() != 1:  # our system id must equal the vehicle's
             own_id = system.get_system_id()
             self._mavsdk.destroy()
@@ -84,6 +85,10 @@ class MavsdkTransport:
             return Reach.SERIAL
         host, _, _port = self._url.rpartition("://")[2].rpartition(":")
         return reach_of(host)
+
+    def trouble(self) -> str:
+        """Always "": MAVSDK keeps to itself why nothing comes."""
+        return ""
 
     def close(self) -> None:
         """End MAVSDK and its threads."""

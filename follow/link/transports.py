@@ -7,7 +7,6 @@ serial:DEVICE:BAUD  open; reopen after a drop
 """
 
 import contextlib
-import errno
 import fcntl
 import ipaddress
 import logging
@@ -25,6 +24,7 @@ from enum import Enum
 from typing import Protocol
 
 from follow.link import LinkError
+from follow.link.addresses import parse_address, why_not
 from follow.link.identity import Source
 from follow.link.send_queue import UNSENT_S, SendQueue, unsent_bytes
 
@@ -35,9 +35,9 @@ CONNECT_TIMEOUT_S = 2.0
 SILENT_S = 0.5  # a TCP peer that sent nothing for this long may not be reading either; telemetry comes every 20 ms
 HEARTBEAT = bytes(3)  # the message number in a MAVLink 2 packet
 ACKNOWLEDGED_S = 0.5  # TCP_USER_TIMEOUT
+ACCEPTED_S = 3.0  # a vehicle that accepted a connection sends within this time: a heartbeat comes every second
 READ_BYTES = 4096
 DATAGRAM_BYTES = 2048  # a datagram with MAVLink fits into an Ethernet frame; the rest of a longer one is discarded
-LAST_PORT = 65535
 
 
 class Reach(str, Enum):
@@ -79,23 +79,13 @@ class Transport(Protocol):
         """Who can send on this link."""
         ...
 
+    def trouble(self) -> str:
+        """Why nothing comes, as far as the transport itself knows; "" if it does not."""
+        ...
+
     def close(self) -> None:
         """Close it."""
         ...
-
-
-def parse_address(uri: str) -> tuple[str, str, int]:
-    """Kind, host or device, and port or baud rate of an address.  Raises LinkError for a malformed one."""
-    kind, _, rest = uri.partition(":")
-    name, _, number = rest.rpartition(":")
-    known = kind in ("udpin", "udpout", "tcp", "serial")
-    if not known or not name or not number.isdecimal() or (kind != "serial" and "/" in name):
-        raise LinkError(
-            f"a link is udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD, not {uri!r}"
-        )
-    if kind != "serial" and int(number) > LAST_PORT:
-        raise LinkError(f"the port of a link is at most {LAST_PORT}, not {number}")
-    return kind, name, int(number)
 
 
 def open_transport(uri: str) -> Transport:
@@ -106,9 +96,7 @@ def open_transport(uri: str) -> Transport:
             return UdpTransport(name, number, listens=kind == "udpin")
         return TcpTransport(name, number) if kind == "tcp" else SerialTransport(name, number)
     except (OSError, OverflowError, termios.error) as error:
-        taken = isinstance(error, OSError) and error.errno == errno.EADDRINUSE
-        advice = ": end the program that has it, or use another port" if taken else ""
-        raise LinkError(f"the link {uri} cannot be opened: {error}{advice}") from None
+        raise LinkError(f"the link {uri} cannot be opened: {why_not(error, name)}") from None
 
 
 class UdpTransport:
@@ -155,6 +143,10 @@ class UdpTransport:
         """Decided by the peer's address once there is one, else by the address that the socket listens at."""
         return reach_of(self._peer[0] if self._peer is not None else self._host)
 
+    def trouble(self) -> str:
+        """Always "": UDP does not know whether anybody listens."""
+        return ""
+
     def close(self) -> None:
         """Close the socket."""
         self._socket.close()
@@ -175,15 +167,29 @@ class _StreamTransport(ABC):
         self._lost_at_s = 0.0
         self._lock = threading.Lock()
         self._queue = SendQueue()
-        self._file = self._open()
+        self._trouble = ""
+        self._start()
 
     @abstractmethod
     def reach(self) -> Reach:
         """Who can send on this link."""
         ...
 
+    def trouble(self) -> str:
+        """Why the last try to open it failed; "" while it is open."""
+        return self._trouble
+
+    def _start(self) -> None:
+        """Open it for the first time; raises OSError or termios.error."""
+        self._file = self._open()
+
     @abstractmethod
     def _open(self) -> int: ...
+
+    @abstractmethod
+    def _reason(self, error: Exception) -> str:
+        """Why it could not be opened, for a person."""
+        ...
 
     @abstractmethod
     def _discard(self, file: int) -> None:
@@ -250,12 +256,16 @@ class _StreamTransport(ABC):
         time.sleep(timeout_s)
         if time.monotonic() - self._lost_at_s >= REOPEN_S:
             self._lost_at_s = time.monotonic()
-            with contextlib.suppress(OSError, termios.error):
+            try:
                 self._file = self._open()
+            except (OSError, termios.error) as error:
+                self._trouble = self._reason(error)
+            else:
+                self._trouble = ""
 
 
 class TcpTransport(_StreamTransport):
-    """A TCP connection to a listening peer.
+    """A TCP connection to a listening peer; one that refuses at first is tried again, for it may still start.
 
     Late bytes can only be discarded with their connection: it is reset, and opened again as after a loss.  Bytes that
     the peer's system has accepted but its program does not read cannot be discarded at all, so only our HEARTBEAT is
@@ -270,6 +280,29 @@ class TcpTransport(_StreamTransport):
     def reach(self) -> Reach:
         """Decided by the peer's address."""
         return reach_of(self._address[0])
+
+    def trouble(self) -> str:
+        """Why it is not connected, or that the peer accepted the connection and has sent nothing since."""
+        silent_s = time.monotonic() - self._heard_t_s
+        if self._file is not None and silent_s > ACCEPTED_S:
+            host, port = self._address
+            return (
+                f"{host}:{port} accepts the connection but sends nothing: another program may have it, for SITL serves "
+                "one at each port"
+            )
+        return super().trouble()
+
+    def _start(self) -> None:
+        try:
+            super()._start()
+        except ConnectionRefusedError as error:
+            self._trouble, self._lost_at_s = self._reason(error), time.monotonic()
+
+    def _reason(self, error: Exception) -> str:
+        host, port = self._address
+        if isinstance(error, ConnectionRefusedError):
+            return f"connection refused: nobody listens at {host}:{port}"
+        return f"no connection to {host}:{port}: {why_not(error, host)}"
 
     def read(self, timeout_s: float) -> tuple[bytes, Source]:
         """The bytes that arrived; after a drop, retries every REOPEN_S."""
@@ -315,6 +348,9 @@ class SerialTransport(_StreamTransport):
     def reach(self) -> Reach:
         """Always SERIAL: whoever is at the other end of the cable or radio."""
         return Reach.SERIAL
+
+    def _reason(self, error: Exception) -> str:
+        return f"{self._device} cannot be opened: {why_not(error, self._device)}"
 
     def _discard(self, file: int) -> None:
         with contextlib.suppress(OSError, termios.error):

@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 import urllib.parse
+from importlib import metadata
 from pathlib import Path
 
 HERE, WEB = "here", "web"
@@ -25,12 +26,20 @@ def recording(path: Path) -> Path:
     return found
 
 
+def installed_by() -> str:
+    """The command that installs the viewer of the version that wrote the recordings here."""
+    try:
+        return f"pip install rerun-sdk=={metadata.version('rerun-sdk')}"
+    except metadata.PackageNotFoundError:
+        return "pip install rerun-sdk"
+
+
 def viewer() -> str:
     """The viewer that came with the installed Rerun.  Raises FileNotFoundError."""
     beside = Path(sys.executable).with_name("rerun")
     found = str(beside) if beside.is_file() else shutil.which("rerun")
     if found is None:
-        raise FileNotFoundError("Rerun's viewer is not installed: pip install rerun-sdk")
+        raise FileNotFoundError(f"Rerun's viewer is not installed: {installed_by()}")
     return found
 
 
@@ -47,7 +56,7 @@ def show(path: Path) -> None:
         user, host = getpass.getuser(), socket.gethostname()
         raise OSError(
             f"no display here. On a computer with one: scp {user}@{host}:{found.resolve()} . && rerun {found.name} "
-            f"(pip install rerun-sdk). Or here: rerun --serve-web --bind 0.0.0.0 {found}, "
+            f"({installed_by()}). Or here: rerun --serve-web --bind 0.0.0.0 {found}, "
             f"then {page_address(SERVED, own_address())} in a browser. Or follow report {found.parent}"
         )
     status = subprocess.run([program, str(found)], check=False).returncode

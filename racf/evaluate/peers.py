@@ -102,8 +102,8 @@ def require_opencv(name: str) -> Callable[..., Any]:
     if make is None:
         raise ValueError(
             f"OpenCV {cv2.__version__} here has no {name} tracker: in a clone `make bench-env` builds one that has, "
-            "and .venv-bench/bin/racf uses it; elsewhere opencv-contrib-python-headless in the place of "
-            "opencv-python-headless"
+            "and .venv-bench/bin/racf or .venv-bench/bin/follow uses it; elsewhere "
+            "opencv-contrib-python-headless in the place of opencv-python-headless"
         )
     return make
 

@@ -10,7 +10,6 @@ import hashlib
 from collections.abc import Generator, Iterable, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, cast
 
@@ -24,14 +23,15 @@ from racf.evaluate.own import OwnSpec
 from racf.evaluate.peers import NETWORKS, OPENCV, PEERS, Peer, digest_of, opencv_has, peer_settings, require_opencv
 from racf.evaluate.runner import Tracker, TrackerBuilder
 from racf.judged import JudgedBoxes
+from racf.nearest import hint
 from racf.params import PRESETS, Params, preset, split_settings
 
 __all__ = ["OPENCV", "PEERS", "Peer", "TrackerSpec", "builders_of", "opencv_has"]
 
 # Files of the package on which no box depends: the fingerprint leaves them out and covers all others.
 UNRELATED = {
-    "cli.py", "commandline.py", "errors.py", "imagefolder.py", "judged.py", "orientation.py", "parallel.py", "video.py",
-    "video_writer.py",
+    "cli.py", "commandline.py", "errors.py", "imagefolder.py", "judged.py", "nearest.py", "orientation.py",
+    "parallel.py", "video.py", "video_writer.py",
 }  # fmt: skip
 # What the boxes of OpenCV's trackers depend on, and with the refinement: an edit of our filter leaves them as they are.
 PEER_FILES = ("box.py", "evaluate/peers.py")
@@ -95,8 +95,9 @@ class TrackerSpec:
     def params(self) -> Params:
         """The parameters of one of ours; raises ValueError for a name or a setting that is not known."""
         if self.name not in PRESETS:
-            known = ", ".join([*PRESETS, *OPENCV])
-            raise ValueError(f"tracker {self.name!r} is not known; known are {known}, and your own as module:Class")
+            known = [*PRESETS, *OPENCV]
+            every = f"there are {', '.join(known)}, and your own as module:Class"
+            raise ValueError(f"there is no tracker {self.name!r}; {hint(self.name, known, every)}")
         return preset(self.name).with_settings(dict(self.settings))
 
     def fingerprint(self) -> str:
@@ -111,7 +112,7 @@ class TrackerSpec:
             what = f"{self.name} {self.settings} {own.source_of(own.load(self.name))}"
         else:
             what = repr(self.params())
-        parts = (what, version("follow-me"), cv2.__version__, np.__version__, source)
+        parts = (what, racf.__version__, cv2.__version__, np.__version__, source)
         return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
 
 

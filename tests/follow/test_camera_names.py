@@ -49,7 +49,7 @@ def test_a_camera_name_is_parsed():
         ("exec?format=nv12:cat x", "has no header: give size=WxH also"),
         ("nowhere.sdp", "there is no file 'nowhere.sdp'"),
         ("picamera2?camera=front", "the number of a camera"),
-        ("exec:/no/such/program -x", "cannot be started: No such file or directory"),
+        ("exec:/no/such/program -x", "there is no program '/no/such/program' here: install it, or give its whole path"),
         ("exec:'unbalanced", "cannot be started: No closing quotation"),
         ("/dev/video77", "/dev/video77 cannot be opened: No such file or directory"),
         ("/dev/null?size=640x480", "cannot be opened: "),

@@ -114,6 +114,9 @@ class Mailbox:
     def reach(self):
         return Reach.NETWORK
 
+    def trouble(self):
+        return ""
+
     def close(self): ...
 
 

@@ -163,3 +163,47 @@ def test_a_vehicle_whose_signing_clock_is_behind_is_accepted_after_it_received_o
         assert link.client.packets.refused > 0
         assert link.client.vehicle_id == 1
     theirs.close()
+
+
+def free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as probe:
+        return probe.getsockname()[1]
+
+
+def test_a_refused_connection_is_told_at_once_and_again_at_the_end_and_is_tried_again(monkeypatch):
+    monkeypatch.setattr(wire, "REOPEN_S", 0.05)
+    port, told = free_port(), []
+    refused = f"connection refused: nobody listens at 127.0.0.1:{port}"
+    with MavlinkLink(wire.TcpTransport("127.0.0.1", port)) as link:
+        with pytest.raises(RuntimeError, match=refused):
+            link.wait_for_vehicle(0.3, told.append)
+        assert told == [f"{refused}; still trying, for up to 0.3 s"]
+        with socket.create_server(("127.0.0.1", port)) as server:
+            server.settimeout(5.0)
+            vehicle, _ = server.accept()
+            with vehicle:
+                assert link.trouble in ("", refused)
+
+
+def test_a_peer_that_accepts_and_sends_nothing_is_named(monkeypatch):
+    monkeypatch.setattr(wire, "ACCEPTED_S", 0.0)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        way = wire.TcpTransport("127.0.0.1", server.getsockname()[1])
+        with contextlib.closing(way):
+            assert "accepts the connection but sends nothing" in way.trouble()
+
+
+@pytest.mark.parametrize(
+    ("uri", "says"),
+    [
+        ("udpin:192.0.2.77:14540", "192.0.2.77 is not an address of this machine; 0.0.0.0 listens at all"),
+        ("udpout:no-such-host.invalid:14540", "no address is known for 'no-such-host.invalid': look at the spelling"),
+        ("serial:/dev/ttyNONE:57600", "No such file or directory: look at its name and cable"),
+        ("serial:/dev/null:57600", "/dev/null is not a serial line"),
+    ],
+)
+def test_a_link_that_cannot_be_opened_says_why_and_what_to_do(uri, says):
+    with pytest.raises(RuntimeError, match=says) as refused:
+        wire.open_transport(uri)
+    assert "[Errno" not in str(refused.value)
+    assert "another port" not in str(refused.value)

@@ -89,3 +89,28 @@ def test_ctrl_c_during_the_imports_ends_in_one_line(capfd, monkeypatch):
     monkeypatch.setattr(sys, "meta_path", [Interrupted, *sys.meta_path])
     assert start.main() == 1
     assert capfd.readouterr().err == "follow: error: stopped before it was done (Ctrl-C)\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("replay", "x", "--fps", "abc"), "--fps must be a number, not 'abc'"),
+        (("replay", "x", "--fps", "0"), "--fps lies above 0, up to 1000, not 0"),
+        (("report", "nodir"), "'nodir' holds no ticks.csv"),
+        (("refly", "nodir"), "'nodir' holds no messages.jsonl.gz"),
+        (("doctor", "--camera", "0?size=12x"), "size is WIDTHxHEIGHT in pixels, not '12x'"),
+        (("doctor", "--link", "udp:127.0.0.1:1"), "did you mean udpin or udpout?"),
+        (("sim", "walker", "--ground", "udpin:1"), "--ground: a link is udpin:HOST:PORT"),
+        (("sim", "walker", "--page", "8080"), "--page '8080' must be HOST:PORT"),
+        (("sim", "walkr"), "there is no scenario 'walkr'; did you mean walker"),
+        (("sim", "--detector", __file__), "test_outcomes.py cannot be used: it is not an ONNX file"),
+        (("sim", "--camera.calibration", __file__), "`follow calibrate` makes such a file"),
+    ],
+)
+def test_wrong_use_ends_in_2_with_one_line_and_no_hint_at_a_cable(capfd, tmp_path, monkeypatch, words, says):
+    monkeypatch.chdir(tmp_path)
+    assert main(list(words)) == 2
+    _, err = capfd.readouterr()
+    assert err.count("\n") == 1
+    assert says in err
+    assert "cable" not in err

@@ -18,7 +18,7 @@ from follow.messages import Mode
 from follow.operator.page import door
 from follow.operator.page.door import PageAddress, parse_page_address, read_token
 from follow.operator.page.exchange import Exchange
-from follow.operator.page.server import HTML, PageServer
+from follow.operator.page.server import HTML, PageServer, listening
 from sim.scenarios import SCENARIOS
 from tests.support.page_rig import PageRig
 
@@ -133,6 +133,12 @@ def test_an_address_other_than_loopback_always_needs_a_token(tmp_path):
 def test_an_address_that_is_taken_is_refused_in_words(rig, tmp_path):
     with pytest.raises(OSError, match="give another port"):
         PageServer(PageAddress("127.0.0.1", rig.port), "", Exchange(), tmp_path, rig.report)
+
+
+def test_an_address_of_another_machine_is_named_as_such():
+    with pytest.raises(OSError, match=r"192\.0\.2\.77 is not an address of this machine: give 0\.0\.0\.0") as refused:
+        listening(PageAddress("192.0.2.77", 8080))
+    assert "another port" not in str(refused.value)
 
 
 def test_a_phone_gets_addresses_of_this_machine_and_no_name(monkeypatch):

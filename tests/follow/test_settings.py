@@ -263,8 +263,9 @@ def test_a_file_with_a_byte_order_mark_is_read(tmp_path):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("[limit]\nspeed_m_s = 1.0", "no setting 'limit'; the nearest is 'limits'"),
-        ("[limits]\nspeed = 1.0", "no setting 'limits.speed'; the nearest is 'speed_m_s'"),
+        ("[limit]\nspeed_m_s = 1.0", "no setting 'limit'; did you mean limits?"),
+        ("[limits]\nspeed = 1.0", "no setting 'limits.speed'; did you mean speed_m_s?"),
+        ("[limits]\nmax_altitude_m = 1.0", "no setting 'limits.max_altitude_m'; did you mean ceiling_m or "),
         ("[lens]\nx = 1.0", "no setting 'lens'; there are camera, target, servo, limits, record"),
         ("speed_m_s = 3.0", "no setting 'speed_m_s'; 'speed_m_s' belongs under [limits]"),
         ("[servo.yaw]\nkq = 1.0", "no setting 'servo.yaw.kq'; there are kp, ki"),

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from follow.control.pose_history import RATE_S, PoseHistory
 from follow.control.servo import CHANGES_M_S, Servo, ServoConfig
-from follow.messages import Autopilot, Estimate, VehicleState
+from follow.messages import NEVER, Autopilot, Estimate, VehicleState
 from tests.support.ground_flight import LENS, GroundFlight
 
 SETTLED_S = 10.0
@@ -66,6 +66,21 @@ def test_a_small_change_of_the_target_s_velocity_is_flown_along_slowly_a_large_o
     for n in (50, 100, 200, 600):
         grown = (1.0 + (CHANGES_M_S / change) ** 2) * math.exp(2 * n / 200)
         assert left[9 + n] == pytest.approx(CHANGES_M_S / math.sqrt(grown - 1.0), abs=0.03)
+
+
+@given(st.floats(-3, 3), st.floats(-3, 3), st.sampled_from([math.nan, math.inf, -math.inf]))
+def test_the_velocity_of_another_target_or_one_that_is_no_number_is_not_flown_on(before, after, broken):
+    servo = Servo(0.5)
+
+    def flown(t_s, velocity, seen_t_s):
+        seen = Estimate(t_s, 0.0, 0.5, servo.config.standoff_m, 0.5, velocity, seen_t_s=seen_t_s)
+        return servo.update(seen, VehicleState(t_s)).forward_m_s
+
+    assert flown(0.0, before, 0.0) == pytest.approx(before)
+    flown(0.03, broken, 0.03)
+    assert flown(0.06, before, 0.06) == pytest.approx(before), "one such velocity does no harm"
+    flown(0.09, 0.0, NEVER)  # the target is forgotten
+    assert flown(0.12, after, 0.12) == pytest.approx(after)
 
 
 @given(st.floats(0.3, 2.0), st.floats(0.0, 6.0), st.sampled_from([0.01, 0.02, 0.033, 0.1]))

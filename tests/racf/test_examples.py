@@ -51,13 +51,18 @@ def test_a_tracker_of_ones_own_is_evaluated_beside_ours(tmp_path, monkeypatch, c
     ("name", "argv", "says"),
     [
         ("track_video.py", (), "usage: track_video.py VIDEO x,y,w,h"),
-        ("track_video.py", ("nowhere.mp4", "1,2,3,4"), "there is no nowhere.mp4"),
+        ("track_video.py", ("nowhere.mp4", "1,2,3,4"), "track_video.py: nowhere.mp4 is not a file"),
+        ("track_video.py", ("CLIP", "550,232,41"), "track_video.py: a box is written x,y,w,h, not '550,232,41'"),
+        ("evaluate_own_tracker.py", ("nowhere",), "nowhere is not a folder"),
+        ("select_with_mavsdk.py", ("udpout://127.0.0.1:1", "middle,middle"), "usage: select_with_mavsdk.py URL x,y"),
         ("evaluate_own_tracker.py", (), "usage: evaluate_own_tracker.py DATA"),
         ("read_a_recording.py", ("nowhere",), "there is no nowhere/ticks.csv"),
     ],
 )
-def test_an_example_with_a_wrong_argument_says_so_in_its_last_line(name, argv, says):
-    command = [sys.executable, str(EXAMPLES / name), *argv]
+def test_an_example_with_a_wrong_argument_says_so_in_its_last_line(name, argv, says, tmp_path):
+    if "CLIP" in argv:
+        write(tmp_path / "clip.mp4", 2)
+    command = [sys.executable, str(EXAMPLES / name), *(word.replace("CLIP", f"{tmp_path}/clip.mp4") for word in argv)]
     ended = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
     assert ended.returncode == 1
     assert says in ended.stderr.splitlines()[-1]

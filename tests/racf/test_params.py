@@ -157,7 +157,7 @@ def test_robust_is_a_word_for_its_switches():
 def test_a_tracker_takes_a_text_or_params_and_refuses_the_rest_at_once():
     assert Racf().params == Racf("racf").params == preset("racf")
     assert Racf("bacf,admm_iterations=3").params == dataclasses.replace(preset("bacf"), admm_iterations=3)
-    with pytest.raises(ValueError, match=r"there is no tracker 'rafc'; there are racf, racf-"):
+    with pytest.raises(ValueError, match=r"there is no tracker 'rafc'; did you mean racf"):
         Racf("rafc")
     with pytest.raises(ValueError, match=r"takes a racf\.Params or a text such as 'racf,robust', not 3"):
         Racf(3)

@@ -115,7 +115,7 @@ def test_some_of_the_sequences_are_enough_and_the_authors_boxes_are_not_needed(t
 @pytest.mark.parametrize(
     ("wrong", "told"),
     [
-        (("--tracker", "racff"), "'racff' is not known"),
+        (("--tracker", "racff"), "there is no tracker 'racff'; did you mean racf"),
         (("--jobs", -1), "--jobs: a whole number of at least 0"),
         (("--only", "person11"), "--only goes with --tracker"),
         (("--tracker", "racf", "--only", "person99"), "--only names sequences of the study"),
@@ -132,7 +132,7 @@ def test_a_wrong_tracker_is_reported_in_one_line_by_every_study(study, tmp_path,
     monkeypatch.setattr(sys, "argv", ["study", str(tmp_path), "--tracker", "racff"])
     with pytest.raises(SystemExit):
         study.main()
-    assert "'racff' is not known" in capsys.readouterr().err.splitlines()[-1]
+    assert "there is no tracker 'racff'; did you mean racf" in capsys.readouterr().err.splitlines()[-1]
 
 
 @pytest.mark.skipif(importlib.util.find_spec("distributed") is not None, reason="the extra dask is installed")

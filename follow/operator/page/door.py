@@ -22,7 +22,8 @@ from http.cookies import CookieError, SimpleCookie
 from pathlib import Path
 from urllib.parse import parse_qs, urlencode
 
-from follow.link.transports import LAST_PORT, Reach, reach_of
+from follow.link.addresses import LAST_PORT
+from follow.link.transports import Reach, reach_of
 
 LEAST_TOKEN = 16  # letters: what `secrets.token_urlsafe(12)` has, 96 bits
 COOKIE_S = 30 * 24 * 3600  # so that a phone need not scan the address before each flight

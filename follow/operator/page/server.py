@@ -5,8 +5,10 @@
 
 import asyncio
 import contextlib
+import errno
 import html
 import logging
+import os
 import socket
 import threading
 from collections.abc import Awaitable, Callable, MutableMapping
@@ -26,7 +28,7 @@ from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIO
 from websockets.frames import Frame
 
 from follow.messages import Notify
-from follow.operator.page.door import Door, PageAddress, Refusal, require_token
+from follow.operator.page.door import Door, PageAddress, Refusal, network_addresses, require_token
 from follow.operator.page.exchange import Exchange
 from follow.operator.page.recordings import FlightShelf
 from follow.operator.page.reports import Reports
@@ -161,9 +163,23 @@ def listening(address: PageAddress) -> socket.socket:
         return socket.create_server((address.host, address.port), family=family, backlog=CONNECTIONS)
     except OSError as error:
         raise OSError(
-            f"--page {address.host}:{address.port} cannot be listened on ({error.strerror}): "
-            "give another port, or end the program that has it"
+            f"--page {address.host}:{address.port} cannot be opened: {why_not_listening(error, address)}"
         ) from None
+
+
+def why_not_listening(error: OSError, address: PageAddress) -> str:
+    """Why nothing can listen there, and what to do."""
+    if isinstance(error, socket.gaierror):
+        return f"no address is known for {address.host!r}: give 0.0.0.0, for all of this machine"
+    if error.errno == errno.EADDRNOTAVAIL:
+        own = ("127.0.0.1", *network_addresses(":" in address.host))
+        return f"{address.host} is not an address of this machine: give 0.0.0.0, for all it has, or {' or '.join(own)}"
+    why = os.strerror(error.errno) if error.errno else str(error)
+    advice = {
+        errno.EADDRINUSE: ": give another port, or end the program that has it",
+        errno.EACCES: ": give a port above 1023",
+    }
+    return f"{why}{advice.get(error.errno or 0, '')}"
 
 
 class BoundedHttp(H11Protocol):
