@@ -120,15 +120,14 @@ class Box:
 
 def tiny_line(box: Box) -> str:
     """One sentence for a person about a target with a side below CLEAR_PX; "" for one that is large enough."""
-    if min(box.w, box.h) >= CLEAR_PX:
+    if not min(box.w, box.h) < CLEAR_PX:  # also for a forged box of NaN
         return ""
-    w, h = _whole_px(box.w), _whole_px(box.h)
     return (
-        f"the target is only {w}x{h} pixels; it needs at least {CLEAR_PX:g} on each side to be held "
-        "and for its distance: go closer, or use a longer lens or a higher resolution"
+        f"the target is only {_whole_px(box.w)}x{_whole_px(box.h)} pixels; it needs at least {CLEAR_PX:g} on each "
+        "side to be held and for its distance: go closer, or use a longer lens or a higher resolution"
     )
 
 
-def _whole_px(side: float) -> int:
+def _whole_px(side: float) -> str:
     """A side in whole pixels; one below CLEAR_PX is not rounded up to it."""
-    return round(side) if side >= CLEAR_PX else min(round(side), math.ceil(CLEAR_PX) - 1)
+    return f"{side if side >= CLEAR_PX else min(side, CLEAR_PX - 1.0):.0f}"
