@@ -5,6 +5,7 @@ import re
 import socket
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -66,6 +67,15 @@ def test_a_late_error_contains_the_output_of_the_program(last, state):
 
     with pytest.raises(LateError, match=rf"not up within 0.1 s; -c .* {state} and said \['no such port'\]"):
         waits()
+
+
+def test_what_a_program_said_last_counts_though_it_is_read_after_the_end():
+    call = [sys.executable, "-c", "import sys; sys.stdin.read(); sys.stderr.write('the last word\n')"]
+    with program(call) as running:
+        running.asleep.set()
+        running.process.wait(20.0)
+        threading.Timer(0.3, running.asleep.clear).start()
+        running.wait_until_said("the last word")
 
 
 def test_a_free_port_can_be_had_and_a_taken_one_is_not_free():

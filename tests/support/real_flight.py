@@ -213,14 +213,20 @@ class Program:
     lines: list[str] = field(default_factory=list)
     deaf: threading.Event = field(default_factory=threading.Event)
     asleep: threading.Event = field(default_factory=threading.Event)  # nobody reads, and the pipe stays open
+    all_read: threading.Event = field(default_factory=threading.Event)  # `lines` grows no more
 
     def said(self, pattern: str) -> bool:
+        """Whether a line like this was said; of a program that has ended, the last line counts too."""
+        if self.process.poll() is not None:
+            self.all_read.wait(5.0)
         return any(re.search(pattern, line) for line in list(self.lines))
 
     def wait_until_said(self, pattern: str, seconds: float = 20.0) -> None:
         def done() -> bool:
-            assert self.process.poll() is None or self.said(pattern), f"it ended: {self.lines}"
-            return self.said(pattern)
+            ended = self.process.poll() is not None
+            said = self.said(pattern)
+            assert said or not ended, f"it ended: {self.lines}"
+            return said
 
         until(f"said {pattern!r}", done, seconds)
 
@@ -231,6 +237,12 @@ class Program:
 
     def listen(self) -> None:
         """Keep what it says until it ends or nobody is to listen any more."""
+        try:
+            self._listen()
+        finally:
+            self.all_read.set()
+
+    def _listen(self) -> None:
         assert self.process.stderr is not None
         file = self.process.stderr.fileno()
         rest = b""
