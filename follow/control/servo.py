@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 
 from follow.control.pid import Gains, Pid
+from follow.control.trend import Trend
 from follow.geometry import heading_to_ned, ned_to_heading, wrap
 from follow.messages import NEVER, Estimate, Setpoint, VehicleState
 from follow.ranges import require_at_most, require_numbers
@@ -52,7 +53,7 @@ class ServoConfig:
     climb: Gains = CLIMB
     approach: Gains = APPROACH
     feed_forward: float = 1.0  # Fraction of the target's own velocity added to the setpoint.
-    velocity_filter_s: float = 0.4  # Time constant for small changes of the target's velocity: pitching causes some.
+    velocity_filter_s: float = 1.0  # Time constant for small changes of the target's velocity: pitching causes some.
     pitch_filter_s: float = 1.0  # Time constant of the pitch filter: height follows steady flight only.
     abeam_per_s: float = 0.3  # Gain on the angle off abeam in profile.
     abeam_m_s: float = 3.0  # Fastest speed across the line of sight in profile.
@@ -98,10 +99,6 @@ LEAN_S = 0.5
 """Time constant of the pitch that limits speeding up.  The pitch follows the desired speed half a second late, by the
 gate's ramp and the autopilot's response: fed back unfiltered, it swings once a second."""
 
-CHANGES_M_S = 0.25
-"""At this difference from the filtered velocity the time constant is halved; at larger ones the filter follows ever
-faster, because the target sets off, stops or turns."""
-
 STEEPEST_RAD = math.radians(75.0)
 """Steeper lines of sight are clipped to this: the tangent of a vertical one is infinite."""
 
@@ -121,7 +118,7 @@ class Servo:
     aside: Pid = field(init=False)  # top-down: as `approach`, to the right
     pitch_rad: float | None = None
     lean_rad: float = 0.0  # the pitch, filtered by LEAN_S
-    moves: tuple[float, float] | None = None  # the target's velocity north and east, filtered by velocity_filter_s
+    moves: Trend | None = None  # the target's velocity, filtered by velocity_filter_s
     t_s: float = NEVER
     wanted: Wanted = AS_SET
     kept: KeptStandoff = NOT_KEPT
@@ -181,17 +178,15 @@ class Servo:
         """Return the estimate with the target's velocity low-pass filtered; large changes are filtered less.
 
         While the vehicle pitches, an image whose time is wrong by 10 ms makes the target appear to move.  Fed forward
-        unfiltered, that motion pitches the vehicle again: a limit cycle.  The price: the velocity of a target that
-        brakes steadily, by 0.5 to 1.5 m/s², counts as 0.15 to 0.29 m/s too high.
+        unfiltered, that motion pitches the vehicle again: a limit cycle.  The filter follows the velocity's trend, so
+        that it does not lag behind a target that brakes or turns steadily.
         """
-        n, e = self.moves or (estimate.north_m_s, estimate.east_m_s)
-        north, east = estimate.north_m_s - n, estimate.east_m_s - e
-        if not math.isfinite(north + east):
+        if not math.isfinite(estimate.north_m_s + estimate.east_m_s):
             return estimate  # not kept: the gate judges it
-        slow_s = self.config.velocity_filter_s / (1.0 + (math.hypot(north, east) / CHANGES_M_S) ** 2)
-        part = dt / (slow_s + dt) if dt > 0 else 0.0
-        self.moves = n + part * north, e + part * east
-        return replace(estimate, north_m_s=self.moves[0], east_m_s=self.moves[1])
+        if self.moves is None:
+            self.moves = Trend(estimate.north_m_s, estimate.east_m_s)
+        self.moves.follow(estimate.north_m_s, estimate.east_m_s, dt, self.config.velocity_filter_s)
+        return replace(estimate, north_m_s=self.moves.north_m_s, east_m_s=self.moves.east_m_s)
 
     def want(self, wanted: Wanted) -> None:
         """Use the geometry that a person wants; a new mode begins without what was integrated in the old one."""

@@ -4,11 +4,13 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
 
 from follow.control.pose_history import RATE_S, PoseHistory
-from follow.control.servo import CHANGES_M_S, Servo, ServoConfig
+from follow.control.servo import Servo, ServoConfig
+from follow.control.trend import CHANGES_M_S, Trend
 from follow.messages import NEVER, Autopilot, Estimate, VehicleState
 from tests.support.ground_flight import LENS, GroundFlight
 
@@ -50,37 +52,71 @@ def test_a_walker_is_followed_without_nodding_also_where_the_images_are_timed_wr
     assert flight.standoff_rms() < 0.08
 
 
-@given(st.floats(-3, 3), st.floats(0.01, 8), st.floats(0.1, 1.0))
-def test_a_small_change_of_the_target_s_velocity_is_flown_along_slowly_a_large_one_soon(before, change, filter_s):
-    """Of the rest u, in CHANGES_M_S, u' = -u (1 + u²) / filter_s, so that 1 + 1/u² grows by exp(2t / filter_s).
+def flown(servo, t_s, velocity, seen_t_s=None):
+    """The speed desired behind a target at the stand-off, straight ahead, that goes north at `velocity`."""
+    seen = Estimate(
+        t_s, 0.0, 0.5, servo.config.standoff_m, 0.5, velocity, seen_t_s=t_s if seen_t_s is None else seen_t_s
+    )
+    return servo.update(seen, VehicleState(t_s)).forward_m_s
+
+
+@settings(max_examples=30)
+@given(st.floats(-3, 3), st.floats(-2, 2), st.floats(-2, 2), st.floats(0.2, 2.0))
+def test_a_small_change_of_the_target_s_velocity_is_flown_along_slowly_a_large_one_soon(before, jump, trend, filter_s):
+    """An independent solver solves v' = a + 2 C (r + r³) / T, a' = C (s + s³) / T²; r = (u - v) / C, s = r in -1..1.
 
     The first velocity that is known counts at once.
     """
-    servo = Servo(0.5, ServoConfig(velocity_filter_s=filter_s))
-    left = []
-    for n in range(620):
-        t_s, velocity = n * filter_s / 200, before if n < 10 else before + change
-        seen = Estimate(t_s, 0.0, 0.5, servo.config.standoff_m, 0.5, velocity, seen_t_s=t_s)
-        left.append(velocity - servo.update(seen, VehicleState(t_s)).forward_m_s)
-    assert left[9] == pytest.approx(0.0)
-    for n in (50, 100, 200, 600):
-        grown = (1.0 + (CHANGES_M_S / change) ** 2) * math.exp(2 * n / 200)
-        assert left[9 + n] == pytest.approx(CHANGES_M_S / math.sqrt(grown - 1.0), abs=0.03)
+    times = np.arange(-0.2, 4.0, 0.005) * filter_s  # the change is at 0
+
+    def goes(t_s):
+        return before + (jump + trend * t_s if t_s > 0 else 0.0)
+
+    def slopes(t_s, known):
+        r = (goes(t_s) - known[0]) / CHANGES_M_S
+        s = min(max(r, -1.0), 1.0)
+        return known[1] + 2.0 * CHANGES_M_S * (r + r**3) / filter_s, CHANGES_M_S * (s + s**3) / filter_s**2
+
+    servo, later = Servo(0.5, ServoConfig(velocity_filter_s=filter_s)), times > filter_s / 4
+    got = np.array([flown(servo, t_s, goes(t_s)) for t_s in times])
+    assert got[times < 0] == pytest.approx(before)
+    want = solve_ivp(slopes, (1e-9, times[-1]), (before, 0.0), "Radau", t_eval=times[later], rtol=1e-6)
+    assert got[later] == pytest.approx(want.y[0], abs=0.05)
+
+
+@given(st.floats(-2.0, 2.0), st.floats(0.3, 2.0), st.floats(0.2, 1.2), st.sampled_from([1 / 60, 1 / 30, 0.1]))
+def test_the_filter_lags_behind_no_steady_acceleration_and_damps_small_swings(trend, hertz, filter_s, every_s):
+    """A critically damped g-h filter damps a swing by |1 + 2 i w T| / |1 + i w T|² (w T < 1: hardly)."""
+    filtered, swings, left = Trend(1.0, 0.0), 0.02, []
+    for n in range(1, round(20.0 / every_s)):
+        t_s = n * every_s
+        swing = swings * math.sin(math.tau * hertz * t_s)
+        filtered.follow(1.0 + trend * t_s, swing, every_s, filter_s)
+        if t_s > 12.0:
+            assert filtered.north_m_s == pytest.approx(1.0 + trend * t_s, abs=0.02)
+            assert filtered.north_m_s2 == pytest.approx(trend, abs=0.02)
+            left.append(filtered.east_m_s)
+    turn = 1j * math.tau * hertz * filter_s
+    assert max(left) <= swings * abs(1 + 2 * turn) / abs(1 + turn) ** 2 * (1.0 + every_s / filter_s) + 1e-4
+
+
+@given(st.floats(-1e300, 1e300), st.floats(-1e300, 1e300), st.floats(0, 1e6), st.floats(0, 5))
+def test_whatever_is_measured_the_filtered_velocity_is_a_number(north, east, dt, time_s):
+    filtered = Trend(1.0, -1.0)
+    for velocity in ((north, east), (1.0, -1.0), (east, north)):
+        filtered.follow(*velocity, dt, time_s)
+        assert all(map(math.isfinite, (filtered.north_m_s, filtered.east_m_s, filtered.north_m_s2, filtered.east_m_s2)))
 
 
 @given(st.floats(-3, 3), st.floats(-3, 3), st.sampled_from([math.nan, math.inf, -math.inf]))
 def test_the_velocity_of_another_target_or_one_that_is_no_number_is_not_flown_on(before, after, broken):
     servo = Servo(0.5)
 
-    def flown(t_s, velocity, seen_t_s):
-        seen = Estimate(t_s, 0.0, 0.5, servo.config.standoff_m, 0.5, velocity, seen_t_s=seen_t_s)
-        return servo.update(seen, VehicleState(t_s)).forward_m_s
-
-    assert flown(0.0, before, 0.0) == pytest.approx(before)
-    flown(0.03, broken, 0.03)
-    assert flown(0.06, before, 0.06) == pytest.approx(before), "one such velocity does no harm"
-    flown(0.09, 0.0, NEVER)  # the target is forgotten
-    assert flown(0.12, after, 0.12) == pytest.approx(after)
+    assert flown(servo, 0.0, before) == pytest.approx(before)
+    flown(servo, 0.03, broken)
+    assert flown(servo, 0.06, before) == pytest.approx(before), "one such velocity does no harm"
+    flown(servo, 0.09, 0.0, NEVER)  # the target is forgotten
+    assert flown(servo, 0.12, after) == pytest.approx(after)
 
 
 @given(st.floats(0.3, 2.0), st.floats(0.0, 6.0), st.sampled_from([0.01, 0.02, 0.033, 0.1]))
