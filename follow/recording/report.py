@@ -32,7 +32,7 @@ def report(flight: Path) -> str:
     table, summary = FlightTable(flight), summary_of(flight)
     page = Page(f"Flight {flight.resolve().name}", lead(table))
     if not summary:
-        page.say("summary.json is missing: the flight did not end as it should, or it was killed.")
+        page.say("summary.json is missing: the flight did not end as it should, it was killed, or the disk was full.")
     page.section("What happened")
     page.plot(flight_figure(table, wanted(flight)))
     modes(page, table)
