@@ -15,7 +15,6 @@ from follow.cli.commands import ReplayCommand, box_in, box_of, lens_of
 from follow.cli.settings import as_toml
 from follow.config import Config, resolve
 from follow.control.footage import FootageTarget
-from follow.control.regain import NOT_TAKEN
 from follow.control.servo import Servo, ServoMode
 from follow.control.target import Target
 from follow.flight.session import acquire, conclude, fly, keep_flight, kept_geometry, once
@@ -104,15 +103,8 @@ def replay_into(command: ReplayCommand, box: Box, truth: Annotations | None) -> 
 
 
 def pretended(report: Notify) -> Notify:
-    """`report` for footage, which has no autopilot, and in which nobody can select."""
-    others = {Cause.OBEYS.value: "a pretended vehicle obeys", NOT_TAKEN: "not taken: another person"}
-
-    def pretend(line: str) -> None:
-        for said, pretends in others.items():
-            line = line.replace(said, pretends)
-        report(line)
-
-    return pretend
+    """`report` for footage, which has no autopilot."""
+    return lambda line: report(line.replace(Cause.OBEYS.value, "a pretended vehicle obeys"))
 
 
 def refusals(refused: Mapping[str, int], followed: bool) -> Iterator[str]:

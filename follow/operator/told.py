@@ -85,7 +85,7 @@ class PilotTexts:
         for note in decision.notes:
             if note.startswith(("slower:", "slow:")) and decision.mode is Mode.FOLLOW and self.is_news(note, t_s):
                 self.say(note.replace("limits.", ""))
-            if note.startswith("not taken:") and self.is_news(text := note.split(" (")[0], t_s):
+            if note.startswith("not taken:") and self.is_news(text := f"{note.split(' (')[0]}, select again", t_s):
                 self.say(text, warns=True)
         if tick.track is not None and tick.track.restarted and self.is_news(LOOSE, t_s):
             self.say(LOOSE, warns=True)
