@@ -271,7 +271,7 @@ class Cause(str, Enum):
     JOYSTICK = "the pilot moved a stick of {what}"
     STICK_JUMPED = "a stick jumped to its end, as when a receiver loses its transmitter"
     OTHER_SENDER = "{what}"
-    OBEYS = "the autopilot obeys"
+    BEGAN = "FOLLOW began"
     REFUSED = "the autopilot refused: {what}"
     IGNORED = "the autopilot did not obey within {seconds:g} s"
     MODE_LEFT = "the vehicle went to {what}"

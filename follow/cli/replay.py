@@ -20,7 +20,7 @@ from follow.control.target import Target
 from follow.flight.session import acquire, conclude, fly, keep_flight, kept_geometry, once
 from follow.link.replay import ReplayLink
 from follow.loop import follow
-from follow.messages import Cause, Notify, Order
+from follow.messages import Order
 from follow.operator.terminal import Terminal
 from follow.recording.exact import Setup
 from follow.recording.folder import claimed
@@ -94,17 +94,12 @@ def replay_into(command: ReplayCommand, box: Box, truth: Annotations | None) -> 
             # No meter: the motion of the camera that filmed the footage is unknown, so there is nothing to compare.
             ticks = follow(camera, link, tracker, target, servo, safety, once(Order.FOLLOW))
             ticks = terminal.progress(ticks, footage.rounds, "replay")
-            finished = fly(ticks, recorder, pretended(terminal.report), score.add, start=box)
+            finished = fly(ticks, recorder, terminal.report, score.add, start=box)
             for line in filter(None, (score.shortfall(), score.left_window(), *refusals(link.refused, finished))):
                 terminal.report(line)
             flown: Figures = {"tracker": command.tracker, "autopilot": command.autopilot.value}
             figures = recorder.close({**flown, **score.figures()})
     conclude(figures, command.out, terminal, as_json=command.json, finished=finished, failure=recorder.failure)
-
-
-def pretended(report: Notify) -> Notify:
-    """`report` for footage, which has no autopilot."""
-    return lambda line: report(line.replace(Cause.OBEYS.value, "a pretended vehicle obeys"))
 
 
 def refusals(refused: Mapping[str, int], followed: bool) -> Iterator[str]:

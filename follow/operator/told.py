@@ -34,7 +34,7 @@ SAYS = {
 """The text for each mode of the gate."""
 
 WARNINGS = (Mode.COAST, Mode.SEARCH, Mode.HOLD, Mode.BRAKE, Mode.ENDED)
-QUIET = (Cause.SEEN, Cause.READY, Cause.OBEYS, Cause.STARTED, Cause.FRESH)
+QUIET = (Cause.SEEN, Cause.READY, Cause.BEGAN, Cause.STARTED, Cause.FRESH)
 """Causes that add nothing to the mode's text."""
 
 LOOSE = "box was loose: follows what moved in it"

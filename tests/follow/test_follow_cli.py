@@ -20,6 +20,7 @@ from follow.config import Config
 from follow.link import connection
 from follow.messages import Autopilot
 from follow.operator.terminal import listed, result
+from follow.recording.exact import read_said
 from follow.recording.folder import FILES
 from follow.safety.limits import Limits
 from sim.clip import clip, write
@@ -62,7 +63,9 @@ def test_replay_prints_its_summary_and_nothing_else(capfd, footage, tmp_path):
     assert 50 < summary["auc"] <= 100
     assert set(summary["tick_ms"]) == set(summary["tracker_ms"]) == {"p50", "p99", "max"}
     assert f"follow inspect {tmp_path}" in " ".join(err.split())
-    assert err.count(" s: follow (a pretended vehicle obeys), vehicle in OFFBOARD") == 1
+    assert err.count(" s: follow (FOLLOW began), vehicle in OFFBOARD") == 1
+    written = err + (tmp_path / "ticks.csv").read_text() + str(read_said(tmp_path / "messages.jsonl.gz"))
+    assert "autopilot" not in written, "there is none in a replay"
     rerun = Path(sys.executable).with_name("rerun")
     subprocess.run([rerun, "rrd", "verify", tmp_path / "flight.rrd"], check=True, capture_output=True, timeout=60)
 

@@ -8,7 +8,7 @@ from racf.box import Box
 from racf.track import Track
 
 UNSEEN = Estimate(NEVER, 0.0, 0.0, 1.0, 0.0)
-BEGUN = [(Mode.READY, Reason(Cause.READY)), (Mode.FOLLOW, Reason(Cause.OBEYS)), (Mode.FOLLOW, Reason(Cause.OBEYS))]
+BEGUN = [(Mode.READY, Reason(Cause.READY)), (Mode.FOLLOW, Reason(Cause.BEGAN)), (Mode.FOLLOW, Reason(Cause.BEGAN))]
 
 WAITS = Reason(Cause.ORDER_WAITS, "the key f")
 
@@ -27,7 +27,7 @@ def test_every_change_is_one_line_with_the_time_since_the_first_round():
     lines, early = reported([*BEGUN, lost, lost])
     assert lines == [
         "0.0 s: ready (FOLLOW can be ordered), vehicle in OFFBOARD",
-        "0.5 s: follow (the autopilot obeys), vehicle in OFFBOARD",
+        "0.5 s: follow (FOLLOW began), vehicle in OFFBOARD",
         "1.5 s: coast (target not seen for 0.3 s), vehicle in OFFBOARD",
     ]
     assert early == ""

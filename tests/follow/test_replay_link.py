@@ -8,7 +8,7 @@ import pytest
 
 from follow.camera.window import WindowCamera, cut
 from follow.cli.program import main
-from follow.cli.replay import pretended, refusals
+from follow.cli.replay import refusals
 from follow.geometry import Intrinsics
 from follow.link.flight_modes import STREAM_TIMEOUT_S
 from follow.link.replay import ReplayLink
@@ -143,12 +143,6 @@ def test_what_the_vehicle_did_not_fly_is_told_in_sentences_without_what_did_not_
     lines = list(refusals(dict(zip(("too fast", "stream timeout"), refused, strict=True)), followed))
     assert len(lines) == len(said)
     assert all(line.startswith(start) for line, start in zip(lines, said, strict=True))
-
-
-def test_a_replay_names_no_autopilot():
-    lines: list[str] = []
-    pretended(lines.append)("0.0 s: follow (the autopilot obeys)")
-    assert lines == ["0.0 s: follow (a pretended vehicle obeys)"]
 
 
 @pytest.mark.parametrize("still", [False, True])
