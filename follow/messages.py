@@ -277,7 +277,7 @@ class Cause(str, Enum):
     MODE_LEFT = "the vehicle went to {what}"
     STREAM_PAUSED = "no setpoint was sent in time: this program or its camera stalled"
     DISARMED = "the vehicle is disarmed"
-    NOT_SEEN = "target not seen for {seconds:.1f} s"
+    NOT_SEEN = "target not seen for {seconds:.2f} s"  # COAST begins at 0.25 s, which one decimal would call 0.3
     SEEN = "target seen"
     OUT_OF_REACH = "the target is out of reach: {what}"
     IN_REACH = "the target is in reach again"

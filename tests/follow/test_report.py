@@ -43,7 +43,7 @@ def test_the_report_tells_what_happened_and_is_self_contained(tmp_path):
     assert "http" not in re.sub(r'xmlns(:\w+)?="[^"]*"', "", page)
     text = re.sub(r"<svg.*?</svg>", "", page, flags=re.DOTALL)
     assert "3.0 s, of which 2.4 s in follow. The target was lost 1 times, 0.5 s in all. At the end: follow" in text
-    assert "target not seen for 0.3 s" in text
+    assert "target not seen for 0.30 s" in text
     assert "frame is … s old" in text
     assert "slower: limits.fence_m" in text
     assert "&lt;b&gt;somebody&lt;/b&gt; &amp; the pilot" in text
