@@ -12,18 +12,19 @@ from follow.camera.sizes import shrink_for, whole
 from follow.camera.video import ReplayCamera, open_replay
 from follow.camera.window import WindowCamera
 from follow.cli.commands import ReplayCommand, box_in, box_of, lens_of
+from follow.cli.named import require_encoder, require_source
 from follow.cli.settings import as_toml
 from follow.config import Config, resolve
 from follow.control.footage import FootageTarget
 from follow.control.servo import Servo, ServoMode
 from follow.control.target import Target
-from follow.flight.session import acquire, conclude, fly, keep_flight, kept_geometry, once
+from follow.flight.session import acquire, conclude, fly, keep_flight, kept_geometry, once, require_tracker
 from follow.link.replay import ReplayLink
 from follow.loop import follow
 from follow.messages import Order
 from follow.operator.terminal import Terminal
 from follow.recording.exact import Setup
-from follow.recording.folder import claimed
+from follow.recording.folder import claimed, require_folder
 from follow.recording.recorder import Recorder
 from follow.recording.scoring import Annotations, FootageScore
 from follow.recording.summary import Figures
@@ -50,6 +51,11 @@ def replay(command: ReplayCommand) -> None:
         raise UsageError(
             "what is to be followed? give --target x,y,w,h (0-based pixels) or --truth FILE (1-based pixels)"
         )
+    require_source(command.source)
+    require_folder(command.out)
+    if command.config.record.pictures:
+        require_encoder("record.encoder", command.config.record.encoder)
+    require_tracker(command.tracker)
     with claimed(command.out):
         replay_into(command, box, truth)
 

@@ -148,7 +148,7 @@ def test_ctrl_c_writes_everything_up_to_there(capfd, footage, tmp_path, monkeypa
 @pytest.mark.parametrize(
     ("words", "status", "names"),
     [
-        (("replay", "nothing.mp4", "--target", "1,2,3,4"), 1, "nothing.mp4"),
+        (("replay", "nothing.mp4", "--target", "1,2,3,4"), 2, "nothing.mp4"),
         (("replay", "nothing.mp4"), 2, "--target x,y,w,h (0-based pixels) or --truth FILE (1-based pixels)"),
         (("replay", "nothing.mp4", "--target", "1,2,3"), 2, "0-based pixels): a box is written x,y,w,h, not '1,2,3'"),
         (("replay", "0", "--target", "1,2,3,4"), 2, "follow run"),
@@ -161,8 +161,8 @@ def test_ctrl_c_writes_everything_up_to_there(capfd, footage, tmp_path, monkeypa
         (("sim", "--seed", "1.5"), 2, "--seed must be a whole number, not '1.5'"),
         (("sim", "--autopilot", "pixhawk"), 2, "--autopilot must be one of ardupilot, px4, not 'pixhawk'"),
         (("replay", "x", "--truth", "."), 2, "--truth must be a file of annotations, x,y,w,h in 1-based pixels"),
-        (("sim", "--out", __file__), 1, f"--out {__file__!r} must be a folder that can be written: it is a file"),
-        (("doctor", "--link", "udpin:127.0.0.1:0", "--out", __file__), 2, "--out must be a folder"),
+        (("sim", "--out", __file__), 2, f"--out {__file__!r} must be a folder that can be written: it is a file"),
+        (("doctor", "--link", "udpin:127.0.0.1:0", "--out", __file__), 2, f"--out {__file__!r} must be a folder"),
         (("sim", "--tracker", "racff"), 2, "there is no tracker 'racff'; did you mean racf"),
         ((), 2, "replay"),
         (("sim", "--seed", "-1"), 2, "--seed"),

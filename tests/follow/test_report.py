@@ -108,7 +108,7 @@ def test_a_page_that_cannot_be_written_is_refused_by_its_name_and_leaves_nothing
     (tmp_path / "folder").mkdir()
     recorded(tmp_path / "flight")
     for out in (tmp_path / "folder", tmp_path / "missing" / "page.html"):
-        assert main(["report", str(tmp_path / "flight"), "--out", str(out)]) == 1
+        assert main(["report", str(tmp_path / "flight"), "--out", str(out)]) == 2
         err = capfd.readouterr().err
         assert repr(str(out)) in err
         assert ".new" not in err
