@@ -1,11 +1,14 @@
 """Wrong use is found before anything is opened, waited for or made: one sentence, and exit status 2."""
 
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 
 import pytest
 
 from follow.camera.calibration import Fit, as_opencv_yaml
 from follow.cli.program import main
+from follow.cli.settings import near_options
+from follow.config import Config
 from follow.geometry import Intrinsics
 from sim.clip import write
 
@@ -86,6 +89,33 @@ def test_a_simulation_and_a_replay_begin_with_no_tracker_or_folder_that_they_can
     capfd, work, command, words, says
 ):
     refused(capfd, work, (*command, *words), says)
+
+
+@pytest.mark.parametrize("command", [("sim",), RUN, REPLAY, ("refly", "."), ("doctor", "--camera", "clip.mp4")])
+@pytest.mark.parametrize(
+    ("option", "near"),
+    [
+        ("--limits.max-altitude-m", "did you mean --limits.ceiling-m"),
+        ("--max-altitude-m", "did you mean --limits.ceiling-m"),
+        ("--limit.max-speed", "did you mean --limits.speed-m-s"),
+        ("--servo.distance", "did you mean --servo.standoff-m"),
+        ("--max-encoder", "did you mean --record.encoder or --video.encoder?"),
+        ("--limits.zzz", "--help-all lists the options"),
+    ],
+)
+def test_an_option_that_is_no_setting_is_answered_with_those_that_mean_the_same(capfd, work, command, option, near):
+    refused(capfd, work, (*command, option, "30"), near)
+
+
+def test_a_setting_without_its_branch_is_answered_with_its_branch():
+    branches = {f.name: getattr(Config(), f.name) for f in fields(Config)}
+    names = [(name, f.name) for name, branch in branches.items() for f in fields(branch)]
+    options = [
+        f"--{name}.{leaf}".replace("_", "-") for name, leaf in names if not is_dataclass(getattr(branches[name], leaf))
+    ]
+    assert len(options) > 50
+    for option in options:
+        assert option in near_options(f"--{option.partition('.')[2]}")
 
 
 @pytest.mark.parametrize(
