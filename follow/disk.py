@@ -75,6 +75,39 @@ def opened(path: Path) -> ByteFile:
     return path.open("wb")
 
 
+class WholeFile:
+    """A file that stands under its name only when all of it is written, and closed; an error leaves nothing of it."""
+
+    def __init__(self, path: Path) -> None:
+        self._path, self._beside = path, beside(path)
+        self._file = opened(self._beside)
+        self._broken = False
+
+    def write(self, data: bytes) -> None:
+        """Write the bytes beside the file."""
+        self._act(lambda: self._file.write(data))
+
+    def flush(self) -> None:
+        """Hand them to the operating system."""
+        self._act(self._file.flush)
+
+    def close(self) -> None:
+        """Give the file its name, unless a write failed."""
+        try:
+            self._act(self._file.close)
+            if not self._broken:
+                self._act(lambda: self._beside.replace(self._path))
+        finally:
+            self._beside.unlink(missing_ok=True)
+
+    def _act(self, act: Callable[[], object]) -> None:
+        try:
+            act()
+        except OSError:
+            self._broken = True
+            raise
+
+
 class BackgroundFile:
     """Appends to a file in the order of the calls, in a thread; `write` returns at once.
 
@@ -169,6 +202,11 @@ class BackgroundTask:
 
 def replace_file(path: Path, text: str) -> None:
     """Replace a file's content atomically: a power cut leaves the old or the new one.  Raises OSError."""
-    beside = path.with_name(path.name + ".new")
-    beside.write_text(text)
-    os.replace(beside, path)
+    new = beside(path)
+    new.write_text(text)
+    new.replace(path)
+
+
+def beside(path: Path) -> Path:
+    """The name under which a file is written before it gets its own."""
+    return path.with_name(path.name + ".new")

@@ -49,12 +49,21 @@ def open_replay(source: str, fps: float | None, report: Notify, shrink: Shrink =
     """Open an image folder or a video file; `fps` overrides what the source says.  Raises CameraError."""
     if fps is not None and not 0 < fps <= 1000:
         raise CameraError(f"frames per second must lie in 0..1000, not {fps:g}")
+    require_footage(source)
     path = Path(source)
     if path.is_dir():
         return ImageFolder(path, fps or named_fps(path) or FOLDER_FPS, report, shrink)
-    if path.is_file():
-        return VideoFile(path, fps, report, shrink)
-    raise CameraError(f"{source!r} cannot be opened: {why_not_footage(source)}")
+    return VideoFile(path, fps, report, shrink)
+
+
+def require_footage(source: str) -> None:
+    """Raise CameraError for a source that is neither a file nor a folder of images."""
+    path = Path(source)
+    if path.is_dir():
+        if not image_paths(path):
+            raise CameraError(f"folder {path} holds no images ({', '.join(sorted(IMAGE_SUFFIXES))})")
+    elif not path.is_file():
+        raise CameraError(f"{source!r} cannot be opened: {why_not_footage(source)}")
 
 
 def named_fps(folder: Path) -> float | None:
@@ -94,13 +103,11 @@ class _Footage:
 
 
 class ImageFolder(_Footage):
-    """The images of a folder in natural order; a gap in their numbers gives rounds without a frame."""
+    """The images of a folder, which has some, in natural order; a gap in their numbers gives rounds without a frame."""
 
     def __init__(self, folder: Path, fps: float, report: Notify, shrink: Shrink = whole) -> None:
         super().__init__(folder.resolve().name, fps, report, MissingFrames())
         paths = image_paths(folder)
-        if not paths:
-            raise CameraError(f"folder {folder} holds no images ({', '.join(sorted(IMAGE_SUFFIXES))})")
         self._slots = dict(zip(positions(paths, int(LONGEST_GAP_S * fps)), paths, strict=True))
         self.rounds: int | None = max(self._slots) + 1
         first = next((image for path in self._slots.values() if (image := _read(path)) is not None), None)

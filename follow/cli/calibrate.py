@@ -14,6 +14,7 @@ from follow.camera.lens_fit import CELLS, GOOD_COVERAGE, LensFit, LensKind, fit_
 from follow.camera.names import is_live
 from follow.camera.video import open_replay
 from follow.cli.commands import CalibrateCommand
+from follow.cli.named import require_source
 from follow.geometry import Array, Intrinsics, distort
 from follow.messages import Frame
 from follow.operator.terminal import Terminal
@@ -32,6 +33,7 @@ def calibrate(command: CalibrateCommand) -> None:
     if is_live(command.source):
         raise UsageError(f"calibrate reads a video file or a folder of images, not the live source {command.source!r}")
     refuse_out(command.out)
+    require_source(command.source)
     terminal = Terminal()
     views, size, seen = gather(command, board, terminal)
     blurred = sum(not board.is_sharp(view) for view in views)

@@ -22,13 +22,14 @@ from follow.config import CameraConfig
 from follow.flight import preflight as doctor
 from follow.flight.finding import Finding, Health, NotFitError, is_fit, places
 from follow.flight.image_checks import check_images
-from follow.flight.session import acquire
+from follow.flight.session import acquire, require_tracker
 from follow.flight.vehicle_checks import check_sending, check_signing, check_vehicle
 from follow.link import LinkError
 from follow.link.connection import connect
 from follow.link.signing import Signing
 from follow.messages import Frame, Notify
 from follow.operator.terminal import Terminal
+from follow.recording.folder import require_folder
 from racf.box import Box
 from racf.commandline import UsageError, plain
 
@@ -48,10 +49,12 @@ def diagnose(command: DoctorCommand, drawn: CameraConfig | None = None) -> None:
 
     `drawn` is a scene's true camera if it differs from the settings: for tests of --wave.
     """
-    if command.out.exists() and not command.out.is_dir():
-        raise UsageError(f"--out must be a folder; {command.out} is a file")
+    if command.camera is not None or command.out.exists():
+        require_folder(command.out)
     if command.camera is not None and (is_live(command.camera) or command.camera.startswith(SCENE)):
         require_camera(command.camera)  # footage that is not there is a finding
+    if command.camera is not None and not command.camera.startswith(SCENE):
+        require_tracker(command.tracker)
     if command.link is not None:
         require_link("--link", command.link)
     terminal = Terminal()

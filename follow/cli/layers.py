@@ -10,6 +10,7 @@ import contextlib
 import functools
 import io
 import itertools
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import MISSING, field, fields, is_dataclass, make_dataclass, replace
 from enum import Enum
@@ -30,7 +31,7 @@ from follow.cli.commands import (
     RunCommand,
     SimCommand,
 )
-from follow.cli.settings import Table, file_layer, layered, read_table
+from follow.cli.settings import Table, file_layer, layered, near_options, read_table
 from follow.config import PRESETS, Config, TargetKind
 from follow.recording.exact import read_setup
 from follow.recording.folder import CALIBRATION, flight_folder
@@ -43,6 +44,7 @@ SCENE = "scene:"
 HELP = ("-h", "--help")
 HELP_ALL = "--help-all"
 MORE = "{} {} --help-all lists also the settings, as --limits.speed-m-s."
+NO_OPTION = re.compile(r"there is no option (-.*); --help lists the options")  # by racf.commandline
 ARG: Any = type(tyro.conf.arg())
 MARKERS = (tyro.conf.EnumChoicesFromValues,)  # px4, not PX4, is what is typed
 NAMES: dict[str, type[Any]] = {
@@ -68,12 +70,26 @@ def read(words: Sequence[str], scenario: str | None = None) -> Command:
     is_short = any(word in HELP for word in words) and words[0] in NAMES
     words = ["--help" if word == HELP_ALL else word for word in words]
     known = _commands(below(words, scenario), is_short=is_short)
-    parsed = parse(known, words, prog=PROG, description=ABOUT, config=MARKERS)
+    try:
+        parsed = parse(known, words, prog=PROG, description=ABOUT, config=MARKERS)
+    except UsageError as error:
+        raise _with_settings(error, words) from None
     kind = next(kind for kind in NAMES.values() if isinstance(parsed, _open(kind)))
     try:
         return _judged(kind, parsed)
     except ValueError as error:
         raise UsageError(str(error)) from None
+
+
+def _with_settings(error: UsageError, words: Sequence[str]) -> UsageError:
+    """The error about an option without a near one, with the settings that resemble it or mean the same."""
+    found = NO_OPTION.fullmatch(str(error))
+    kind = NAMES.get(words[0]) if words else None
+    if found is None or kind is None or "config" not in (f.name for f in fields(kind)):
+        return error
+    where = f"{PROG} {words[0]} {HELP_ALL if '.' in found[1] else HELP[1]} lists the options"
+    near = next(filter(None, map(near_options, found[1].split(" or "))), where)
+    return UsageError(f"there is no option {found[1]}; {near}")
 
 
 def with_view(words: Sequence[str]) -> list[str]:

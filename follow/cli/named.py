@@ -6,14 +6,18 @@ from pathlib import Path
 from follow.camera import CameraError
 from follow.camera.names import CameraKind, CameraName, is_live, parse_camera
 from follow.camera.program import missing_program, words_of
+from follow.camera.video import require_footage
 from follow.cli.commands import InspectCommand, ReportCommand, SimCommand
 from follow.cli.layers import SCENE, no_scenario
 from follow.link import LinkError
 from follow.link.addresses import parse_address
 from follow.link.signing import read_key
+from follow.recording.video_encoder import Encoder, opened
 from follow.recording.viewer import recording
 from racf.commandline import UsageError, plain
 from sim.scenarios import SCENARIOS
+
+TRIAL_SIZE = (640, 360)  # of an image for a trial of an encoder
 
 
 def require_link(option: str, uri: str) -> None:
@@ -46,11 +50,33 @@ def require_camera(source: str) -> None:
             parse_camera(source)
         except CameraError as error:
             raise UsageError(str(error)) from None
-    elif not Path(source).exists():
+    elif Path(source).exists():
+        require_source(source)
+    else:
         raise UsageError(
             f"camera {source!r} is not a file or folder, a device (0, /dev/video0), "
             "a stream (rtsp://HOST/PATH), a program (exec:PROGRAM), picamera2 or a drawn scene (scene:NAME)"
         )
+
+
+def require_source(source: str) -> None:
+    """Raise UsageError for footage that is neither a file nor a folder of images."""
+    try:
+        require_footage(source)
+    except CameraError as error:
+        raise UsageError(str(error)) from None
+
+
+def require_encoder(setting: str, encoder: Encoder) -> None:
+    """Raise UsageError for a setting's H.264 encoder that does not open here; `auto` takes one that does."""
+    if encoder in (Encoder.AUTO, Encoder.JPEG):
+        return
+    try:
+        opened(encoder.value, TRIAL_SIZE)
+    except OSError:
+        raise UsageError(
+            f"{setting} {encoder.value} does not open on this computer: auto takes one that does"
+        ) from None
 
 
 def require_device(camera: CameraName) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from follow.cli.commands import ReflyCommand
 from follow.cli.layers import flown_with
+from follow.cli.named import require_encoder
 from follow.cli.settings import as_toml, layered
 from follow.config import Config
 from follow.control.footage import FootageTarget
@@ -20,7 +21,7 @@ from follow.operator.terminal import Terminal
 from follow.recording.comparison import Difference, write_comparison
 from follow.recording.exact import ExactFlight, digest, read_exact
 from follow.recording.flight_table import FlightTable, setting_values
-from follow.recording.folder import claimed
+from follow.recording.folder import claimed, require_folder
 from follow.recording.recorder import Recorder
 from follow.recording.refly import RecordedFlight, RecordedMeter, RecordedTracker
 from follow.recording.summary import Figures
@@ -36,10 +37,13 @@ NOT_FLOWN = (
 
 def refly(command: ReflyCommand) -> None:
     """`follow refly`.  Raises ValueError if the recorded settings do not give the recorded outcome."""
-    recorded = read_exact(command.flight / "messages.jsonl.gz")
     out = command.out or command.flight / "refly"
     if out.resolve() == command.flight.resolve():
         raise UsageError(f"--out {str(out)!r} is the recorded flight itself: give another folder")
+    require_folder(out)
+    if command.config.record.pictures:
+        require_encoder("record.encoder", command.config.record.encoder)
+    recorded = read_exact(command.flight / "messages.jsonl.gz")
     flown, was = as_toml(command.config), as_toml(layered(flown_with(command.flight)))
     refuse_another_camera(was, flown)
     same = without_record(flown) == without_record(was)

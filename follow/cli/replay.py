@@ -12,19 +12,19 @@ from follow.camera.sizes import shrink_for, whole
 from follow.camera.video import ReplayCamera, open_replay
 from follow.camera.window import WindowCamera
 from follow.cli.commands import ReplayCommand, box_in, box_of, lens_of
+from follow.cli.named import require_encoder, require_source
 from follow.cli.settings import as_toml
 from follow.config import Config, resolve
 from follow.control.footage import FootageTarget
-from follow.control.regain import NOT_TAKEN
 from follow.control.servo import Servo, ServoMode
 from follow.control.target import Target
-from follow.flight.session import acquire, conclude, fly, keep_flight, kept_geometry, once
+from follow.flight.session import acquire, conclude, fly, keep_flight, kept_geometry, once, require_tracker
 from follow.link.replay import ReplayLink
 from follow.loop import follow
-from follow.messages import Cause, Notify, Order
+from follow.messages import Order
 from follow.operator.terminal import Terminal
 from follow.recording.exact import Setup
-from follow.recording.folder import claimed
+from follow.recording.folder import claimed, require_folder
 from follow.recording.recorder import Recorder
 from follow.recording.scoring import Annotations, FootageScore
 from follow.recording.summary import Figures
@@ -51,6 +51,11 @@ def replay(command: ReplayCommand) -> None:
         raise UsageError(
             "what is to be followed? give --target x,y,w,h (0-based pixels) or --truth FILE (1-based pixels)"
         )
+    require_source(command.source)
+    require_folder(command.out)
+    if command.config.record.pictures:
+        require_encoder("record.encoder", command.config.record.encoder)
+    require_tracker(command.tracker)
     with claimed(command.out):
         replay_into(command, box, truth)
 
@@ -95,24 +100,12 @@ def replay_into(command: ReplayCommand, box: Box, truth: Annotations | None) -> 
             # No meter: the motion of the camera that filmed the footage is unknown, so there is nothing to compare.
             ticks = follow(camera, link, tracker, target, servo, safety, once(Order.FOLLOW))
             ticks = terminal.progress(ticks, footage.rounds, "replay")
-            finished = fly(ticks, recorder, pretended(terminal.report), score.add, start=box)
+            finished = fly(ticks, recorder, terminal.report, score.add, start=box)
             for line in filter(None, (score.shortfall(), score.left_window(), *refusals(link.refused, finished))):
                 terminal.report(line)
             flown: Figures = {"tracker": command.tracker, "autopilot": command.autopilot.value}
             figures = recorder.close({**flown, **score.figures()})
     conclude(figures, command.out, terminal, as_json=command.json, finished=finished, failure=recorder.failure)
-
-
-def pretended(report: Notify) -> Notify:
-    """`report` for footage, which has no autopilot, and in which nobody can select."""
-    others = {Cause.OBEYS.value: "a pretended vehicle obeys", NOT_TAKEN: "not taken: another person"}
-
-    def pretend(line: str) -> None:
-        for said, pretends in others.items():
-            line = line.replace(said, pretends)
-        report(line)
-
-    return pretend
 
 
 def refusals(refused: Mapping[str, int], followed: bool) -> Iterator[str]:

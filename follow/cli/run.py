@@ -21,10 +21,10 @@ from follow.camera.sizes import shrink_for, whole
 from follow.camera.video import open_replay
 from follow.cli.commands import RunCommand, box_in, box_of, lens_of
 from follow.cli.detector import check_detector, open_detector
-from follow.cli.ground import carried_by, check_ground, ground_sides
+from follow.cli.ground import carried_by, check_ground, ground_sides, video_address
 from follow.cli.height import height_conflict, height_line
 from follow.cli.layers import SCENE, from_scene
-from follow.cli.named import require_camera, require_device, require_key, require_link
+from follow.cli.named import require_camera, require_device, require_encoder, require_key, require_link
 from follow.cli.page import consoles_of, desk_of, open_page, page_options
 from follow.cli.settings import as_toml, scene_values
 from follow.cli.sim import Referee, believed_camera, scene_camera
@@ -39,7 +39,7 @@ from follow.flight.finding import Finding
 from follow.flight.live_flight import LogForwarder, Parts, fly, preflight, unwaived
 from follow.flight.parameters import names
 from follow.flight.preflight import check_disk
-from follow.flight.session import Start, Update, conclude, keep_flight, kept_geometry, tracker_of
+from follow.flight.session import Start, Update, conclude, keep_flight, kept_geometry, require_tracker, tracker_of
 from follow.flight.vehicle_checks import CHECKS
 from follow.geometry import Intrinsics
 from follow.link import Link
@@ -54,7 +54,7 @@ from follow.operator.page.exchange import Exchange
 from follow.operator.stick_trims import StickTrims, parse_trims
 from follow.operator.terminal import Terminal
 from follow.recording.exact import Setup
-from follow.recording.folder import claimed
+from follow.recording.folder import claimed, require_folder
 from follow.recording.recorder import Recorder
 from follow.recording.summary import Figures
 from follow.safety.gate import Safety
@@ -124,23 +124,55 @@ def open_scene(command: RunCommand, link: Link, drawn: CameraConfig | None = Non
 
 
 def check(command: RunCommand) -> None:
-    """Raise UsageError for errors that can be found without a vehicle."""
+    """Raise UsageError for errors that can be found without a vehicle, CameraError for footage that does not decode."""
     if command.target is not None:
         box_of(command.target)
     elif not command.camera.startswith(SCENE) and command.ground is None and command.page is None:
         raise UsageError("what is to be followed? give --target x,y,w,h, or --page or --ground to point at it later")
     check_ground(command)
-    check_detector(command.detector)
     require_link("--link", command.link)
     require_key(command.signing_key)
     require_camera(command.camera)
     for name in command.waive:
         check_waiver(name)
-    name = command.camera.removeprefix(SCENE)
-    if name == command.camera or command.config.camera.down_deg is not None:  # else the angle depends on the autopilot
+    check_written(command)
+    require_tracker(command.tracker)
+    check_detector(command.detector)
+    if command.camera.startswith(SCENE):
+        check_scene(command)
+    else:
         require_height(command.config)
     if is_live(command.camera):  # last, so that a command can be judged where its camera is not
         require_device(parse_camera(command.camera))
+    elif not command.camera.startswith(SCENE):
+        with open_replay(command.camera, None, lambda _line: None) as footage:
+            check_image(command, *footage.size)
+
+
+def check_written(command: RunCommand) -> None:
+    """Raise UsageError for a recording or a video that cannot be written here."""
+    require_folder(command.out)
+    if command.config.record.pictures:
+        require_encoder("record.encoder", command.config.record.encoder)
+    if video_address(command) is not None:
+        require_encoder("video.encoder", command.config.video.encoder)
+
+
+def check_image(command: RunCommand, width: int, height: int) -> None:
+    """Raise UsageError for a lens or a target that does not fit images of that size."""
+    lens_of(command.config.camera, width, height)
+    if command.target is not None:
+        box_in(box_of(command.target), width, height)
+
+
+def check_scene(command: RunCommand) -> None:
+    """Raise UsageError for settings that fit a drawn scene's camera behind no autopilot: each has its own angle."""
+    scenario, mount = SCENARIOS[command.camera.removeprefix(SCENE)], command.config.camera
+    drawn = [scene_camera(scenario, autopilot, mount) for autopilot in Autopilot]
+    check_image(command, drawn[0].intrinsics.width, drawn[0].intrinsics.height)
+    resolved = [resolve(command.config, c.intrinsics, c.down_rad, c.latency_s) for c in drawn]
+    if all(height_conflict(config) for config in resolved):
+        require_height(resolved[0])
 
 
 def require_height(config: Config) -> None:
@@ -194,6 +226,7 @@ def fly_reported(
     if line := unused_line(command):
         terminal.report(line)
     terminal.report(f"tracker warm after {warm_up():.1f} s")
+    tracker = tracker_of(command.tracker)
     with contextlib.ExitStack() as recording:  # outlives the link, whose last message is recorded
         keys = recording.enter_context(Keys())  # from now on keys are read, not echoed
         signing = Signing(command.signing_key) if command.signing_key else None
@@ -202,7 +235,7 @@ def fly_reported(
         tlog = Tlog(starting, report_once)
         kind = DryRunLink if command.dry_run else MavlinkLink
         with connect(command.link, command.system_id, signing=signing, tlog=tlog, kind=kind) as link:
-            flight = prepare(command, link, refusing_early(keys, terminal.report))
+            flight = prepare(command, link, tracker, refusing_early(keys, terminal.report))
             keys.refuse_early(terminal.report)
             recorder = recording.enter_context(
                 begin_recording(command, flight.seen, starting, terminal, early, report_once)
@@ -249,8 +282,8 @@ class PreparedFlight:
     red: tuple[str, ...]
 
 
-def prepare(command: RunCommand, link: MavlinkLink, report: Notify) -> PreparedFlight:
-    """Everything that may refuse a flight: vehicle, checks, camera, stand-off, tracker."""
+def prepare(command: RunCommand, link: MavlinkLink, tracker: tuple[Start, Update], report: Notify) -> PreparedFlight:
+    """Everything that may refuse a flight and needs the vehicle or the camera."""
     report(f"waiting up to {VEHICLE_S:g} s for a vehicle on {command.link}")
     link.wait_for_vehicle(VEHICLE_S, report)
     report("vehicle found: measuring its message rates and reading its parameters, some 10 s")
@@ -266,7 +299,6 @@ def prepare(command: RunCommand, link: MavlinkLink, report: Notify) -> PreparedF
     size = seen.lens.width * scale, seen.lens.height * scale
     if box is not None and (line := box_in(box.zoomed(scale), *size)):
         report(line)
-    tracker = tracker_of(command.tracker)
     if path := command.config.camera.calibration:
         report(f"lens by {path}: {described(seen.lens)}")
     require_height(seen.config)

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, TypeVar, cast
 from follow.cli.described import sentences
 from follow.config import Config
 from racf.commandline import UsageError
-from racf.nearest import close, question
+from racf.nearest import MOST, close, question
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -114,13 +114,47 @@ def _nearest(key: str, branch: "DataclassInstance") -> str:
 
 
 def _meant(key: str, branch: "DataclassInstance") -> list[str]:
-    """The settings whose descriptions hold the most words of `key`: ceiling_m for max_altitude_m."""
+    """The settings whose descriptions, then names, hold the most words of `key`: ceiling_m for max_altitude_m."""
+    return _most(_words_held(key, branch))
+
+
+def _words_held(key: str, branch: "DataclassInstance") -> dict[str, tuple[int, int]]:
+    """Setting -> the numbers of words of `key` that its description and its name hold."""
     words = {SYNONYMS.get(word, word) for word in key.lower().split("_") if len(word) > 2}
-    held = {
-        name: len(words & set(re.findall(r"[a-z]+", text.lower()))) for name, text in sentences(type(branch)).items()
-    }
-    most = max(held.values(), default=0)
-    return [name for name, count in held.items() if count == most > 0]
+    held = {name: words & set(re.findall(r"[a-z]+", text.lower())) for name, text in sentences(type(branch)).items()}
+    return {name: (len(found), len(words & set(name.split("_")))) for name, found in held.items()}
+
+
+def _most(held: Mapping[str, tuple[int, int]]) -> list[str]:
+    """The names with the largest numbers, unless all are 0."""
+    most = max(held.values(), default=(0, 0))
+    return [name for name, count in held.items() if count == most > (0, 0)]
+
+
+def near_options(option: str) -> str:
+    """`did you mean --limits.ceiling-m?` for an option that is no setting: by its spelling, else by its meaning.
+
+    Without a known branch (`--max-altitude-m`) every branch is searched; "" if too many settings fit.
+    """
+    *before, key = option.partition("=")[0].lstrip("-").replace("-", "_").split(".")
+    config = Config()
+    branches = {f.name: getattr(config, f.name) for f in fields(config)}
+    searched = {name: branch for name, branch in branches.items() if name in before} or branches
+    known: dict[str, str] = {}  # option -> name of the setting
+    held: dict[str, tuple[int, int]] = {}
+    for name, branch in searched.items():
+        words = _words_held(key, branch)
+        leaves = [f.name for f in fields(branch) if not is_dataclass(getattr(branch, f.name))]
+        known |= {_option(name, leaf): leaf for leaf in leaves}
+        held |= {_option(name, leaf): words[leaf] for leaf in leaves}
+    near = close(key, known.values())
+    found = [option for name in near for option, leaf in known.items() if leaf == name] or _most(held)
+    return question(found) if near or len(found) <= MOST else ""
+
+
+def _option(branch: str, name: str) -> str:
+    """The option of a setting."""
+    return f"--{branch}.{name}".replace("_", "-")
 
 
 def _value(default: object, value: object, source: str, name: str) -> object:

@@ -10,8 +10,10 @@ from typing import Any, cast
 
 from follow.cli.commands import SimCommand, lens_of
 from follow.cli.detector import check_detector, simulated_detector
+from follow.cli.ground import video_address
 from follow.cli.height import height_report
 from follow.cli.layers import from_scene, no_scenario
+from follow.cli.named import require_encoder
 from follow.cli.page import page_options
 from follow.cli.settings import as_toml
 from follow.config import CameraConfig, Config, resolve
@@ -19,12 +21,12 @@ from follow.control.image_motion import ImageMotionMeter
 from follow.control.servo import Servo
 from follow.control.target import Target
 from follow.disk import OnceEach, unwritten
-from follow.flight.session import acquire, conclude, fly, keep_other_flight, kept_geometry, once
+from follow.flight.session import acquire, conclude, fly, keep_other_flight, kept_geometry, once, require_tracker
 from follow.loop import follow
 from follow.messages import Autopilot, Order, Tick
 from follow.operator.terminal import Terminal, result, table
 from follow.recording.exact import Setup
-from follow.recording.folder import claimed
+from follow.recording.folder import claimed, require_folder
 from follow.recording.recorder import Recorder, RecordingError
 from follow.recording.summary import Figures
 from follow.safety.gate import Safety
@@ -182,12 +184,11 @@ def rounded(scored: FlightScore) -> Figures:
 def sim(command: SimCommand, settings_of: Callable[[str], Config], bare: Any) -> None:
     """`follow sim`; `settings_of` gives the settings for a scenario, `bare` are those without any scenario."""
     terminal = Terminal()
-    check_detector(command.detector)
     if command.list:
         sys.stdout.write("".join(f"{name:<20} {s.about}\n" for name, s in SCENARIOS.items()))
-    elif command.scenario not in SCENARIOS:
-        raise no_scenario(command.scenario, SCENARIOS)
-    elif command.all:
+        return
+    check(command)
+    if command.all:
         sim_all(command, {name: settings_of(name) for name in SCENARIOS}, bare, terminal)
     else:
         autopilot = command.autopilot or Autopilot.PX4
@@ -204,6 +205,19 @@ def sim(command: SimCommand, settings_of: Callable[[str], Config], bare: Any) ->
         flown = simulate(flight, terminal, bar=True)
         finished, failure = flown.finished, flown.failure
         conclude(flown.figures, flight.out, terminal, as_json=command.json, finished=finished, failure=failure)
+
+
+def check(command: SimCommand) -> None:
+    """Raise UsageError for errors that can be found before anything is opened."""
+    if command.scenario not in SCENARIOS:
+        raise no_scenario(command.scenario, SCENARIOS)
+    require_folder(command.out or (OUT if command.all else OUT / command.scenario))
+    if command.config.record.pictures and not command.all:
+        require_encoder("record.encoder", command.config.record.encoder)
+    if (command.page is not None or command.ground is not None) and video_address(command) is not None:
+        require_encoder("video.encoder", command.config.video.encoder)
+    require_tracker(command.tracker)
+    check_detector(command.detector)
 
 
 def sim_all(command: SimCommand, configs: Mapping[str, Config], bare: Any, terminal: Terminal) -> None:

@@ -79,8 +79,8 @@ NEW_S = 1.0
 OTHERS = 16
 """Number of other people remembered, those found last."""
 
-NOT_TAKEN = "not taken: another person, select again"
-"""Message to the operator about a candidate that cannot be the target."""
+NOT_TAKEN = "not taken: may be another"
+"""Message to the operator about a candidate that cannot be the target: a person, a thing or bare ground."""
 
 SAID_S = 3.0
 """The message is shown for this long after the last sighting of that candidate."""

@@ -21,12 +21,25 @@ from follow.recording.summary import Figures
 from racf import Racf
 from racf.box import Box
 from racf.commandline import StopReported, UsageError
+from racf.evaluate.own import load
 from racf.evaluate.trackers import TrackerSpec
 from racf.track import Track
 from racf.tracker import warm_up
 
 Start = Callable[[NDArray[np.uint8], Box], Track]
 Update = Callable[[NDArray[np.uint8], Box | None], Track]
+
+
+def require_tracker(name: str) -> None:
+    """Raise UsageError for a name, a setting or a file that gives no tracker.
+
+    One of the user's own is imported and not built, because that may take long or open something.
+    """
+    try:
+        spec = TrackerSpec.parse(name).flown()
+        _ = load(spec.name) if ":" in spec.name else spec.build()
+    except ValueError as error:
+        raise UsageError(f"--tracker: {error}") from None
 
 
 def tracker_of(name: str) -> tuple[Start, Update]:

@@ -34,7 +34,7 @@ SAYS = {
 """The text for each mode of the gate."""
 
 WARNINGS = (Mode.COAST, Mode.SEARCH, Mode.HOLD, Mode.BRAKE, Mode.ENDED)
-QUIET = (Cause.SEEN, Cause.READY, Cause.OBEYS, Cause.STARTED, Cause.FRESH)
+QUIET = (Cause.SEEN, Cause.READY, Cause.BEGAN, Cause.STARTED, Cause.FRESH)
 """Causes that add nothing to the mode's text."""
 
 LOOSE = "box was loose: follows what moved in it"
@@ -85,7 +85,7 @@ class PilotTexts:
         for note in decision.notes:
             if note.startswith(("slower:", "slow:")) and decision.mode is Mode.FOLLOW and self.is_news(note, t_s):
                 self.say(note.replace("limits.", ""))
-            if note.startswith("not taken:") and self.is_news(text := note.split(" (")[0], t_s):
+            if note.startswith("not taken:") and self.is_news(text := f"{note.split(' (')[0]}, select again", t_s):
                 self.say(text, warns=True)
         if tick.track is not None and tick.track.restarted and self.is_news(LOOSE, t_s):
             self.say(LOOSE, warns=True)

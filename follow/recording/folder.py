@@ -5,8 +5,11 @@ import errno
 import fcntl
 import itertools
 import os
+import stat
 from collections.abc import Generator
 from pathlib import Path
+
+from racf.errors import UsageError
 
 FILES = (
     *("flight.rrd", "flight.tlog", "flight.png", "ticks.csv", "messages.jsonl.gz", "settings.toml", "summary.json"),
@@ -38,8 +41,7 @@ def claimed(out: Path) -> Generator[None, None, None]:
         if not os.access(out, os.W_OK | os.X_OK):
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
     except OSError as error:
-        why = "it is a file" if isinstance(error, FileExistsError) else error.strerror
-        raise OSError(f"--out {str(out)!r} must be a folder that can be written: {why}") from None
+        raise OSError(unwritable(out, error)) from None
     try:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -51,6 +53,31 @@ def claimed(out: Path) -> Generator[None, None, None]:
         if made:
             with contextlib.suppress(OSError):  # it is not empty
                 out.rmdir()
+
+
+def require_folder(out: Path) -> None:
+    """Raise UsageError for a folder that cannot be made or written, before anything is opened; makes nothing."""
+    try:
+        refuse_name(out)
+    except OSError as error:
+        raise UsageError(str(error)) from None
+    for path in (out, *out.absolute().parents):
+        try:
+            if not stat.S_ISDIR(path.stat().st_mode):
+                raise FileExistsError
+            if not os.access(path, os.W_OK | os.X_OK):
+                raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+            return
+        except FileNotFoundError:
+            continue  # it will be made
+        except OSError as error:
+            raise UsageError(unwritable(out, error)) from None
+
+
+def unwritable(out: Path, error: OSError) -> str:
+    """The sentence about a folder that cannot be made or written."""
+    why = "it is a file" if isinstance(error, FileExistsError) else error.strerror
+    return f"--out {str(out)!r} must be a folder that can be written: {why}"
 
 
 def refuse_name(out: Path) -> None:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from typing_extensions import Self
 
-from follow.disk import BackgroundFile, OnceEach
+from follow.disk import BackgroundFile, OnceEach, WholeFile, unwritten
 from follow.messages import Notify, Tick
 from follow.ranges import require_numbers
 from follow.recording.exact import ExactWriter, Setup
@@ -29,7 +29,7 @@ from racf.box import Box
 if TYPE_CHECKING:
     from follow.recording.rerun_log import RerunRecording
 
-REPLACED = ("flight.rrd", "flight.png", "report.html", "refly.html", CALIBRATION)
+REPLACED = ("flight.rrd", "flight.png", "report.html", "refly.html", "settings.toml", "summary.json", CALIBRATION)
 """Files that a new recording deletes first: if this flight breaks off, old ones would pass for its own."""
 
 VIEW_QUEUE = 2  # queue of frames for a viewer: only the newest matter
@@ -181,7 +181,13 @@ class Recorder:
             worker.put(lambda recording: recording.settings(toml))
 
     def _write(self, name: str, data: bytes) -> None:
-        file = BackgroundFile(self.out / name, self._report)
+        """Write a whole file, or none and report why."""
+        path = self.out / name
+        try:
+            file = BackgroundFile(path, self._report, open_file=WholeFile)
+        except OSError as error:
+            self._report(unwritten(path, error))
+            return
         file.write(data)
         file.close()
 
@@ -203,9 +209,7 @@ class Recorder:
             whole["recording_dropped"] = self._images.dropped
         if self._rows.lost:
             whole["rows_lost"] = self._rows.lost
-        file = BackgroundFile(self.out / "summary.json", self._report)
-        file.write((json.dumps(whole, indent=2) + "\n").encode())
-        file.close()
+        self._write("summary.json", (json.dumps(whole, indent=2) + "\n").encode())
         return whole
 
     def _started(self, t_s: float) -> float:

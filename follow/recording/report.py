@@ -8,16 +8,23 @@ from follow.disk import replace_file
 from follow.recording.exact import read_said
 from follow.recording.flight_table import Array, FlightTable, settings_of, summary_of
 from follow.recording.page import Page
+from racf.errors import UsageError
 
 HEAD = ("tracker", "autopilot", "scenario", "started_utc", "frames", "setpoints")
 HIDDEN = ("modes", "tick_ms", "tracker_ms", *HEAD)
 
 
 def write_report(flight: Path, out: Path | None = None) -> Path:
-    """Write the page of a flight and return its file.  Raises OSError, ValueError for a folder that holds no flight."""
-    path, text = out or flight / "report.html", report(flight)
+    """Write the page of a flight and return its file.
+
+    Raises UsageError for a file that cannot be one, OSError, ValueError for a folder that holds no flight.
+    """
+    path = out or flight / "report.html"
     if path.is_dir():
-        raise OSError(f"--out {str(path)!r} is a folder: give the name of a file, as {str(path / 'report.html')!r}")
+        raise UsageError(f"--out {str(path)!r} is a folder: give the name of a file, as {str(path / 'report.html')!r}")
+    if not path.parent.is_dir():
+        raise UsageError(f"--out {str(path)!r} cannot be written: there is no folder {str(path.parent)!r}")
+    text = report(flight)
     try:
         replace_file(path, text)
     except OSError as error:
@@ -32,7 +39,7 @@ def report(flight: Path) -> str:
     table, summary = FlightTable(flight), summary_of(flight)
     page = Page(f"Flight {flight.resolve().name}", lead(table))
     if not summary:
-        page.say("summary.json is missing: the flight did not end as it should, or it was killed.")
+        page.say("summary.json is missing: the flight did not end as it should, it was killed, or the disk was full.")
     page.section("What happened")
     page.plot(flight_figure(table, wanted(flight)))
     modes(page, table)

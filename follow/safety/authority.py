@@ -197,7 +197,7 @@ def events(now: Authority, facts: Facts, granted: bool, limits: Limits) -> list[
     if granted and now.order is not None:
         found.append((Event.ORDER_FOLLOW, Reason(Cause.FOLLOW_ORDERED, now.order.by)))
     if not findings:
-        found.append((Event.CONTROL_GAINED, Reason(Cause.OBEYS)))
+        found.append((Event.CONTROL_GAINED, Reason(Cause.BEGAN)))
     if now.mode is Mode.ENGAGE and not 0.0 <= t_s - now.since_s <= limits.engage_timeout_s:
         found.append((Event.TIMEOUT, Reason(Cause.IGNORED, seconds=limits.engage_timeout_s)))
     return [*found, *target_events(facts, limits), *ending_events(now, facts, limits)]

@@ -261,7 +261,7 @@ FOLLOWING = (calm(order=Order.FOLLOW), calm(obeys=True))
 
 
 def test_the_flights_of_the_property_test_reach_follow():
-    assert reason_after(*FOLLOWING) == (Mode.FOLLOW, Reason(Cause.OBEYS))
+    assert reason_after(*FOLLOWING) == (Mode.FOLLOW, Reason(Cause.BEGAN))
 
 
 @pytest.mark.parametrize(

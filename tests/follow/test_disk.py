@@ -186,6 +186,54 @@ def test_a_simulation_on_a_full_disk_says_so_once_is_scored_and_keeps_what_it_ha
     assert disks["ticks.csv"].content.count(b"\n") > 10
 
 
+@pytest.mark.parametrize("act", ["write", "flush", "close", "open"])
+def test_on_a_full_disk_the_summary_stands_whole_or_not_at_all(tmp_path, monkeypatch, act):
+    """The rows stay, and one sentence tells of the disk, whichever call it is that finds it full."""
+
+    class FullFile(SmallFile):
+        def __init__(self, path):
+            super().__init__()
+            if act == "open":
+                raise full_disk()
+            self._file = path.open("wb")
+
+        def write(self, data):
+            self._file.write(data[:3])
+            if act == "write":
+                raise full_disk()
+            self._file.write(data[3:])
+
+        def flush(self):
+            if act == "flush":
+                raise full_disk()
+
+        def close(self):
+            self._file.close()
+            if act == "close":
+                raise full_disk()
+
+    (tmp_path / "summary.json").write_text("of the flight before")
+    lines: list[str] = []
+    recorder = Recorder(tmp_path, RecordConfig(pictures=False), lines.append, waits=True)
+    for n in range(5):
+        recorder.tick(tick(n))
+    monkeypatch.setattr("follow.disk.opened", FullFile)
+    figures = recorder.close()
+    assert figures["frames"] == 5
+    assert [path.name for path in tmp_path.iterdir()] == ["ticks.csv"]
+    assert len((tmp_path / "ticks.csv").read_text().splitlines()) == 6
+    assert len(lines) == 1
+    assert f"the disk of {tmp_path} is full" in lines[0]
+
+
+def test_a_flight_that_is_killed_leaves_no_summary_of_the_one_before(tmp_path):
+    with Recorder(tmp_path, RecordConfig(pictures=False), silent, waits=True) as recorder:
+        recorder.tick(tick(0))
+    assert json.loads((tmp_path / "summary.json").read_text())["frames"] == 1
+    Recorder(tmp_path, RecordConfig(pictures=False), silent, waits=True)  # never closed
+    assert not (tmp_path / "summary.json").exists()
+
+
 def test_a_file_that_cannot_be_made_is_an_error_at_once(tmp_path):
     with pytest.raises(OSError, match="No such file"):
         BackgroundFile(tmp_path / "none" / "rows", silent)

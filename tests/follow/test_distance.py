@@ -266,7 +266,7 @@ def test_control_of_a_vehicle_that_does_not_follow_setpoints_is_given_up():
     safety, t_s = engaged()
     standing = fly(safety, t_s, 10.0, Setpoint(4.0), north_m_s=0.0, east_m_s=0.0)
     causes = list(dict.fromkeys(d.reason.cause for d in standing))
-    assert causes == [Cause.OBEYS, Cause.NOT_OBEYING, Cause.STOPPED]
+    assert causes == [Cause.BEGAN, Cause.NOT_OBEYING, Cause.STOPPED]
     began = next(i for i, d in enumerate(standing) if d.reason.cause is Cause.NOT_OBEYING)
     assert began * DT < 4.0
     assert standing[-1].setpoint is None

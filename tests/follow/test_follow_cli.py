@@ -20,6 +20,7 @@ from follow.config import Config
 from follow.link import connection
 from follow.messages import Autopilot
 from follow.operator.terminal import listed, result
+from follow.recording.exact import read_said
 from follow.recording.folder import FILES
 from follow.safety.limits import Limits
 from sim.clip import clip, write
@@ -62,7 +63,9 @@ def test_replay_prints_its_summary_and_nothing_else(capfd, footage, tmp_path):
     assert 50 < summary["auc"] <= 100
     assert set(summary["tick_ms"]) == set(summary["tracker_ms"]) == {"p50", "p99", "max"}
     assert f"follow inspect {tmp_path}" in " ".join(err.split())
-    assert err.count(" s: follow (a pretended vehicle obeys), vehicle in OFFBOARD") == 1
+    assert err.count(" s: follow (FOLLOW began), vehicle in OFFBOARD") == 1
+    written = err + (tmp_path / "ticks.csv").read_text() + str(read_said(tmp_path / "messages.jsonl.gz"))
+    assert "autopilot" not in written, "there is none in a replay"
     rerun = Path(sys.executable).with_name("rerun")
     subprocess.run([rerun, "rrd", "verify", tmp_path / "flight.rrd"], check=True, capture_output=True, timeout=60)
 
@@ -145,7 +148,7 @@ def test_ctrl_c_writes_everything_up_to_there(capfd, footage, tmp_path, monkeypa
 @pytest.mark.parametrize(
     ("words", "status", "names"),
     [
-        (("replay", "nothing.mp4", "--target", "1,2,3,4"), 1, "nothing.mp4"),
+        (("replay", "nothing.mp4", "--target", "1,2,3,4"), 2, "nothing.mp4"),
         (("replay", "nothing.mp4"), 2, "--target x,y,w,h (0-based pixels) or --truth FILE (1-based pixels)"),
         (("replay", "nothing.mp4", "--target", "1,2,3"), 2, "0-based pixels): a box is written x,y,w,h, not '1,2,3'"),
         (("replay", "0", "--target", "1,2,3,4"), 2, "follow run"),
@@ -158,8 +161,8 @@ def test_ctrl_c_writes_everything_up_to_there(capfd, footage, tmp_path, monkeypa
         (("sim", "--seed", "1.5"), 2, "--seed must be a whole number, not '1.5'"),
         (("sim", "--autopilot", "pixhawk"), 2, "--autopilot must be one of ardupilot, px4, not 'pixhawk'"),
         (("replay", "x", "--truth", "."), 2, "--truth must be a file of annotations, x,y,w,h in 1-based pixels"),
-        (("sim", "--out", __file__), 1, f"--out {__file__!r} must be a folder that can be written: it is a file"),
-        (("doctor", "--link", "udpin:127.0.0.1:0", "--out", __file__), 2, "--out must be a folder"),
+        (("sim", "--out", __file__), 2, f"--out {__file__!r} must be a folder that can be written: it is a file"),
+        (("doctor", "--link", "udpin:127.0.0.1:0", "--out", __file__), 2, f"--out {__file__!r} must be a folder"),
         (("sim", "--tracker", "racff"), 2, "there is no tracker 'racff'; did you mean racf"),
         ((), 2, "replay"),
         (("sim", "--seed", "-1"), 2, "--seed"),

@@ -8,7 +8,7 @@ from racf.box import Box
 from racf.track import Track
 
 UNSEEN = Estimate(NEVER, 0.0, 0.0, 1.0, 0.0)
-BEGUN = [(Mode.READY, Reason(Cause.READY)), (Mode.FOLLOW, Reason(Cause.OBEYS)), (Mode.FOLLOW, Reason(Cause.OBEYS))]
+BEGUN = [(Mode.READY, Reason(Cause.READY)), (Mode.FOLLOW, Reason(Cause.BEGAN)), (Mode.FOLLOW, Reason(Cause.BEGAN))]
 
 WAITS = Reason(Cause.ORDER_WAITS, "the key f")
 
@@ -23,14 +23,21 @@ def reported(rounds: list[tuple[Mode, Reason]]) -> tuple[list[str], str]:
 
 
 def test_every_change_is_one_line_with_the_time_since_the_first_round():
-    lost = (Mode.COAST, Reason(Cause.NOT_SEEN, seconds=0.3))
+    lost = (Mode.COAST, Reason(Cause.NOT_SEEN, seconds=0.258))
     lines, early = reported([*BEGUN, lost, lost])
     assert lines == [
         "0.0 s: ready (FOLLOW can be ordered), vehicle in OFFBOARD",
-        "0.5 s: follow (the autopilot obeys), vehicle in OFFBOARD",
-        "1.5 s: coast (target not seen for 0.3 s), vehicle in OFFBOARD",
+        "0.5 s: follow (FOLLOW began), vehicle in OFFBOARD",
+        "1.5 s: coast (target not seen for 0.26 s), vehicle in OFFBOARD",
     ]
     assert early == ""
+
+
+@pytest.mark.parametrize("unseen_s", [0.2501, 0.2582, 4.071, 20.96])
+def test_a_target_is_not_said_to_be_unseen_for_longer_than_it_was(unseen_s):
+    """To a hundredth of a second: a limit of 0.25 s that was just passed is not 0.3 s."""
+    said = str(Reason(Cause.NOT_SEEN, seconds=unseen_s))
+    assert float(said.split()[-2]) == pytest.approx(unseen_s, abs=0.005)
 
 
 @pytest.mark.parametrize(

@@ -44,7 +44,7 @@ def test_a_stop_says_by_whom_in_the_words_of_the_button():
 
 
 def test_a_vehicle_that_holds_says_how_to_go_on():
-    words, why = read(Mode.FOLLOW, Reason(Cause.OBEYS), wanted=HOVER_HERE)
+    words, why = read(Mode.FOLLOW, Reason(Cause.BEGAN), wanted=HOVER_HERE)
     assert words == "HOLDS"
     assert "FOLLOW" in why
     assert "STOP" in why
@@ -52,7 +52,7 @@ def test_a_vehicle_that_holds_says_how_to_go_on():
 
 def test_a_target_that_is_selected_after_a_stop_is_tracked_not_stopped(tmp_path):
     with PageRig(tmp_path / "now") as rig, rig.window() as window:
-        rig.has_target, rig.mode, rig.reason = True, Mode.FOLLOW, Reason(Cause.OBEYS)
+        rig.has_target, rig.mode, rig.reason = True, Mode.FOLLOW, Reason(Cause.BEGAN)
         window.until(lambda w: w.status.get("state") == "FOLLOWING" and w.images)
         rig.mode, rig.reason = Mode.ENDED, STOPPED
         window.until(lambda w: w.status["state"] == "STOPPED")

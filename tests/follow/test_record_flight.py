@@ -231,7 +231,7 @@ def test_a_recorder_that_waits_drops_nothing(tmp_path):
 
 
 def test_a_full_disk_is_one_line_and_the_flight_goes_on(tmp_path):
-    for name in ("ticks.csv", "summary.json"):
+    for name in ("ticks.csv", "summary.json.new"):
         (tmp_path / name).symlink_to("/dev/full")
     lines: list[str] = []
     with Recorder(tmp_path, RecordConfig(pictures=False), lines.append, waits=True) as recorder:

@@ -8,6 +8,7 @@ seen.  6 m is the radius of the area in which one other person who looks alike i
 """
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -150,6 +151,14 @@ def test_an_invalid_box_or_one_above_the_ground_is_no_person():
         assert watcher.target.update(seen(box), state, state.t_s).other is None
 
 
+def test_what_is_not_taken_is_not_called_a_person():
+    """Only its position was judged: it may be bare ground."""
+    watcher = Watcher(1.4)
+    assert watcher.finds(lambda _t: (0.0, 30.0), 1.0, WATCHED_S) is None
+    assert watcher.estimate.doubt.startswith("not taken: ")
+    assert not re.search("person|somebody", watcher.estimate.doubt)
+
+
 def test_the_operator_and_the_pilot_are_notified_once():
     lines, sent = [], []
 
@@ -168,5 +177,5 @@ def test_the_operator_and_the_pilot_are_notified_once():
         changes.see(tick)
         texts.see(tick)
     assert [line for line in lines if NOT_TAKEN in line] == [lines[0]]
-    assert [text for text in sent if "not taken" in text] == [f"Follow: {NOT_TAKEN}"]
+    assert [text for text in sent if "not taken" in text] == [f"Follow: {NOT_TAKEN}, select again"]
     assert all(len(text) <= 50 for text in sent)

@@ -8,8 +8,7 @@ import pytest
 
 from follow.camera.window import WindowCamera, cut
 from follow.cli.program import main
-from follow.cli.replay import pretended, refusals
-from follow.control.regain import NOT_TAKEN
+from follow.cli.replay import refusals
 from follow.geometry import Intrinsics
 from follow.link.flight_modes import STREAM_TIMEOUT_S
 from follow.link.replay import ReplayLink
@@ -144,17 +143,6 @@ def test_what_the_vehicle_did_not_fly_is_told_in_sentences_without_what_did_not_
     lines = list(refusals(dict(zip(("too fast", "stream timeout"), refused, strict=True)), followed))
     assert len(lines) == len(said)
     assert all(line.startswith(start) for line, start in zip(lines, said, strict=True))
-
-
-def test_a_replay_asks_nobody_to_select_and_names_no_autopilot():
-    lines: list[str] = []
-    report = pretended(lines.append)
-    report(f"9.0 s: {NOT_TAKEN} (12 m from the target's path)")
-    report("0.0 s: follow (the autopilot obeys)")
-    assert lines == [
-        "9.0 s: not taken: another person (12 m from the target's path)",
-        "0.0 s: follow (a pretended vehicle obeys)",
-    ]
 
 
 @pytest.mark.parametrize("still", [False, True])

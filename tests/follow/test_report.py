@@ -43,7 +43,7 @@ def test_the_report_tells_what_happened_and_is_self_contained(tmp_path):
     assert "http" not in re.sub(r'xmlns(:\w+)?="[^"]*"', "", page)
     text = re.sub(r"<svg.*?</svg>", "", page, flags=re.DOTALL)
     assert "3.0 s, of which 2.4 s in follow. The target was lost 1 times, 0.5 s in all. At the end: follow" in text
-    assert "target not seen for 0.3 s" in text
+    assert "target not seen for 0.30 s" in text
     assert "frame is … s old" in text
     assert "slower: limits.fence_m" in text
     assert "&lt;b&gt;somebody&lt;/b&gt; &amp; the pilot" in text
@@ -108,7 +108,7 @@ def test_a_page_that_cannot_be_written_is_refused_by_its_name_and_leaves_nothing
     (tmp_path / "folder").mkdir()
     recorded(tmp_path / "flight")
     for out in (tmp_path / "folder", tmp_path / "missing" / "page.html"):
-        assert main(["report", str(tmp_path / "flight"), "--out", str(out)]) == 1
+        assert main(["report", str(tmp_path / "flight"), "--out", str(out)]) == 2
         err = capfd.readouterr().err
         assert repr(str(out)) in err
         assert ".new" not in err

@@ -28,7 +28,7 @@ READ = [
         "waits: 3 s for: target not seen",
     ),
     (Mode.ENGAGE, Reason(Cause.FOLLOW_ORDERED, "the page"), "taking over"),
-    (Mode.FOLLOW, Reason(Cause.OBEYS), "following"),
+    (Mode.FOLLOW, Reason(Cause.BEGAN), "following"),
     (Mode.COAST, Reason(Cause.NOT_SEEN, seconds=0.7), "target lost, slowing"),
     (Mode.SEARCH, Reason(Cause.NOT_SEEN, seconds=3.0), "searching"),
     (Mode.HOLD, Reason(Cause.NOT_SEEN, seconds=20.0), "given up, hovers"),
@@ -98,7 +98,7 @@ def test_the_pilot_is_told_that_the_tracker_started_again():
     texts = PilotTexts(ears)
     for k in range(60):
         track = Track(box, box, psr=20.0, apce=50.0, confidence=1.0, found=True, restarted=k == 5)
-        texts.see(replace(of(Mode.FOLLOW, Reason(Cause.OBEYS), 0.1 * k), track=track))
+        texts.see(replace(of(Mode.FOLLOW, Reason(Cause.BEGAN), 0.1 * k), track=track))
     assert [text for text, _ in ears.texts].count(PREFIX + LOOSE) == 1
     assert len(PREFIX + LOOSE) <= LETTERS
 

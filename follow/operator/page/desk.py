@@ -68,7 +68,7 @@ def explanation(words: str, decision: Decision) -> str:
         return NOT_SEEN_YET
     if words == STATES[Mode.READY][0] and decision.mode is Mode.ENDED:
         return AGAIN
-    if words == HOLDS and cause is Cause.OBEYS:
+    if words == HOLDS and cause is Cause.BEGAN:
         return HOVERS
     return f"stopped by {what}" if cause is Cause.OBSERVE_ORDERED else str(decision.reason)
 
