@@ -1,4 +1,4 @@
-"""A velocity filtered without lag behind steady acceleration: a critically damped g-h filter.
+"""A velocity filtered without lag behind steady acceleration: a critically damped g-h filter with a bound.
 
 The g-h filter predicts by the trend and corrects velocity and trend by the prediction's error; critically damped as in
 Brookner, *Tracking and Kalman Filtering Made Easy* (1998), 1.2.6.
@@ -7,9 +7,9 @@ Brookner, *Tracking and Kalman Filtering Made Easy* (1998), 1.2.6.
 import math
 from dataclasses import dataclass
 
-CHANGES_M_S = 0.25
-"""At this error of the prediction both gains are doubled; at larger ones the velocity is followed ever faster, because
-the target sets off, stops or turns."""
+FARTHEST_M_S = 0.2
+"""The filtered velocity never differs from the measured one by more than this: a larger change is the target's own,
+which sets off, stops or turns, and is followed at once."""
 
 
 @dataclass(slots=True)
@@ -24,8 +24,8 @@ class Trend:
     def follow(self, north_m_s: float, east_m_s: float, dt: float, time_s: float) -> None:
         """Take in a velocity that is finite, `dt` seconds after the last; `time_s` is the filter's time constant.
 
-        After an interval longer than that it is taken over as it is.  For the trend an error counts as CHANGES_M_S at
-        most, so that a jump is hardly taken for an acceleration.
+        After an interval longer than that it is taken over as it is.  The trend's gain doubles up to FARTHEST_M_S; a
+        larger error counts as that, so that a jump is hardly taken for an acceleration.
         """
         if dt <= 0:
             return
@@ -34,8 +34,8 @@ class Trend:
             return
         n, e = self.north_m_s + dt * self.north_m_s2, self.east_m_s + dt * self.east_m_s2
         north, east = north_m_s - n, east_m_s - e
-        off = math.hypot(north, east) / CHANGES_M_S
-        part = -math.expm1(-2.0 * dt / time_s * (1.0 + off * off))
+        off = math.hypot(north, east) / FARTHEST_M_S
+        part = max(-math.expm1(-2.0 * dt / time_s), 1.0 - 1.0 / max(off, 1.0))
         self.north_m_s, self.east_m_s = n + part * north, e + part * east
         counted = min(off, 1.0)
         gain = math.expm1(-dt / time_s) ** 2 / dt * (1.0 + counted * counted) / max(off, 1.0)
