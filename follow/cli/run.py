@@ -306,6 +306,7 @@ def prepare(command: RunCommand, link: MavlinkLink, tracker: tuple[Start, Update
         report(line)
     if red:
         report(f"FOLLOW will be refused: {'; '.join(red)}; fix it, or --waive NAME")
+    warm_up()  # again, some 10 s later: what the system dropped from memory meanwhile is read now, not in flight
     return PreparedFlight(seen, tracker, red)
 
 
