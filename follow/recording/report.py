@@ -10,6 +10,7 @@ from follow.recording.flight_table import Array, FlightTable, settings_of, summa
 from follow.recording.page import Page
 from racf.errors import UsageError
 
+BEGINS = b'<!doctype html><html><head><meta charset="utf-8"><title>Flight '  # of every page written here
 HEAD = ("tracker", "autopilot", "scenario", "started_utc", "frames", "setpoints")
 HIDDEN = ("modes", "tick_ms", "tracker_ms", *HEAD)
 
@@ -24,6 +25,8 @@ def write_report(flight: Path, out: Path | None = None) -> Path:
         raise UsageError(f"--out {str(path)!r} is a folder: give the name of a file, as {str(path / 'report.html')!r}")
     if not path.parent.is_dir():
         raise UsageError(f"--out {str(path)!r} cannot be written: there is no folder {str(path.parent)!r}")
+    if path.is_file() and not path.read_bytes().startswith(BEGINS):
+        raise UsageError(f"--out {str(path)!r} exists and is no report: give another name")
     text = report(flight)
     try:
         replace_file(path, text)

@@ -57,12 +57,13 @@ class Evaluation:
     def write(self, folder: Path, images: int = 0) -> list[Path]:
         """Write report.json, tables.md and the plots, and draw all boxes on frames of `images` sequences.
 
-        Files of an earlier evaluation with these names are deleted; boxes in `folder/runs` stay.
+        Files of an earlier evaluation with these names are deleted; boxes in `folder/runs` stay.  Raises UsageError
+        for files with these names of anybody else.
         """
+        require_ours(folder)
         folder.mkdir(parents=True, exist_ok=True)
-        for old in (path for pattern in WRITTEN for path in folder.glob(pattern)):
-            if old.suffix in WRITTEN_KINDS:
-                old.unlink()
+        for old in _named_as_ours(folder):
+            old.unlink()
         written = [folder / "report.json", folder / "tables.md"]
         written[0].write_text(json.dumps(self.figures(), indent=1) + "\n")
         written[1].write_text("\n".join(table.markdown() for table in (*self.summary, *self.details)))
@@ -72,6 +73,29 @@ class Evaluation:
             shown = [s for s in self.report.sequences if s.name in chosen]
             written += plots.draw_images(shown, self.boxes, folder / "images")
         return written
+
+
+def require_ours(folder: Path) -> None:
+    """Raise UsageError if writing an evaluation would delete files in a folder that no evaluation has written."""
+    others = [path.name for path in _named_as_ours(folder)]
+    if others and not (folder / "runs").is_dir() and not _is_report(folder / "report.json"):
+        shown = ", ".join(others[:3]) + (", ..." if len(others) > 3 else "")
+        raise UsageError(f"{folder} holds {shown}, not written by an evaluation, which would go: give another folder")
+
+
+def _named_as_ours(folder: Path) -> list[Path]:
+    """The files of a folder that have the name of one that an evaluation writes."""
+    found = {path for pattern in WRITTEN for path in folder.glob(pattern)}
+    return sorted(path for path in found if path.suffix in WRITTEN_KINDS)
+
+
+def _is_report(path: Path) -> bool:
+    """Whether a file has the figures of trackers, as `Evaluation.figures`."""
+    try:
+        known = json.loads(path.read_text())
+    except (OSError, ValueError):
+        return False
+    return isinstance(known, dict) and all(isinstance(row, dict) and "auc_strict" in row for row in known.values())
 
 
 def to_stderr(text: str) -> None:
@@ -118,6 +142,8 @@ def evaluate(
     Paired differences are to the first tracker.  Raises ValueError for wrong arguments before anything runs.
     """
     root, folder = directory("root", root), None if out is None or out == "" else directory("out", out)
+    if folder is not None:
+        require_ours(folder)
     jitter, jobs, images = whole("jitter", jitter), whole("jobs", jobs), images_of(images, folder)
     settings, imports, only = texts("settings", settings), texts("imports", imports), texts("only", only)
     table, sweep, dask, notify = table_number(table), sweep_of(sweep), address("dask", dask), notify or to_stderr

@@ -67,7 +67,7 @@ class Tracked:
 def require_outputs(source: Path, truth: Path | None, out: Path, overlay: Path | None) -> None:
     """Raise UsageError if boxes, their .csv or the overlay would overwrite an input, each other, or another's file.
 
-    Boxes may overwrite those of an earlier run only: their .csv beside them has our columns.  So an annotation stays.
+    An earlier run's files alone may be overwritten: its .csv beside the boxes has our columns.  So an annotation stays.
     """
     beside = out.with_suffix(".csv")
     written = {"--out": out, "the .csv beside --out": beside, "--overlay": overlay}
@@ -77,8 +77,8 @@ def require_outputs(source: Path, truth: Path | None, out: Path, overlay: Path |
                 raise UsageError(f"{option} would overwrite the {what}, {given}: give another name")
     if overlay is not None and (_is_same(overlay, out) or overlay.absolute() == out.absolute()):
         raise UsageError(f"--out and --overlay are one file, {out}: give another name")
-    for path in (out, beside):
-        if path.is_file() and not _is_ours(beside):
+    for path in (out, beside, overlay):
+        if path is not None and path.is_file() and not _is_ours(beside):
             raise UsageError(f"{path} exists and was not written by racf track: delete it, or give another name")
 
 

@@ -117,6 +117,20 @@ def test_a_page_that_cannot_be_written_is_refused_by_its_name_and_leaves_nothing
     assert str(tmp_path / "flight" / "report.html") in capfd.readouterr().out
 
 
+def test_a_report_overwrites_reports_alone(tmp_path, capfd):
+    (flight := tmp_path / "flight").mkdir()
+    recorded(flight)
+    (tmp_path / "clip.txt").write_text("1,2,30,40\n")
+    for out in (tmp_path / "clip.txt", flight / "ticks.csv"):
+        before = out.read_bytes()
+        assert main(["report", str(flight), "--out", str(out)]) == 2
+        assert repr(str(out)) in capfd.readouterr().err
+        assert out.read_bytes() == before
+    for _time in range(2):
+        assert main(["report", str(flight), "--out", str(tmp_path / "page.html")]) == 0
+        assert main(["report", str(flight)]) == 0
+
+
 def test_a_damaged_recording_has_its_page_or_is_refused_by_name(tmp_path, capfd):
     recorded(tmp_path)
     with (tmp_path / "ticks.csv").open("ab") as rows:

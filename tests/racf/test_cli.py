@@ -205,6 +205,7 @@ OVERWRITING = {
     "boxes over a link to it": (("--out", "link.txt", "--truth", "clip.txt"), "the annotation"),
     "boxes over an annotation not given": (("--out", "clip.txt"), "not written by racf track"),
     "confidence over a table": (("--out", "table.txt"), "not written by racf track"),
+    "the overlay over another video": (("--out", "b.txt", "--overlay", "other.mp4"), "not written by racf track"),
     "boxes and overlay in one file": (("--out", "new.mp4", "--overlay", "new.mp4"), "one file"),
 }
 
@@ -213,6 +214,7 @@ OVERWRITING = {
 def test_track_overwrites_nothing_but_its_own_boxes(what, clip, capsys, monkeypatch):
     monkeypatch.chdir(clip)
     (clip / "table.csv").write_text("my,own\n1,2\n")
+    (clip / "other.mp4").write_bytes(b"a film")
     before = {path.name: path.read_bytes() for path in clip.iterdir() if path.is_file()}
     argv, named = OVERWRITING[what]
     assert racf("track", "clip.mp4", "--init", "309,192,22,48", *argv) == 2

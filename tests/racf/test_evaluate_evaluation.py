@@ -260,6 +260,21 @@ def test_images_show_the_annotation_and_a_reused_folder_keeps_no_stale_ones(data
     assert {"report.json", "precision.png", "success-notes.txt", "runs"} <= left
 
 
+@pytest.mark.parametrize("name", ["success-mine.png", "tables.md", "report.json", "images.json"])
+def test_an_evaluation_overwrites_and_deletes_nobody_else_s_files(name, data, tmp_path, capsys):
+    (out := tmp_path / "out").mkdir()
+    (out / name).write_text('{"mine": 1}')
+    assert command("eval", data, "--tracker", "racf-", "--out", out) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert name in err
+    assert {path.name: path.read_text() for path in out.iterdir()} == {name: '{"mine": 1}'}
+    (out / name).unlink()
+    result = evaluate(data, trackers={"far": Still}, out=out, jobs=1, progress=False)
+    (out / "runs").rename(tmp_path / "runs")
+    result.write(out)  # its own report.json is enough to know the folder by
+
+
 def test_track_writes_confidence_and_draws_what_it_found(data, tmp_path, capsys):
     source, out, film = data / "Bench" / "one", tmp_path / "boxes.txt", tmp_path / "film.mp4"
     truth = source / "groundtruth_rect.txt"
