@@ -12,6 +12,10 @@ FARTHEST_M_S = 0.2
 which sets off, stops or turns, and is followed at once."""
 
 
+NO_TIME_S = 1e-6
+"""Within so short a time nothing moves, and a trend would be a quotient of roundings."""
+
+
 @dataclass(slots=True)
 class Trend:
     """The filtered velocity north and east, m/s, and its rate of change, m/s²."""
@@ -24,10 +28,11 @@ class Trend:
     def follow(self, north_m_s: float, east_m_s: float, dt: float, time_s: float) -> None:
         """Take in a velocity that is finite, `dt` seconds after the last; `time_s` is the filter's time constant.
 
-        After an interval longer than that it is taken over as it is.  The trend's gain doubles up to FARTHEST_M_S; a
-        larger error counts as that, so that a jump is hardly taken for an acceleration.
+        After an interval as long as that it is taken over as it is; an interval of zero or NaN changes nothing.  The
+        trend's gain doubles up to FARTHEST_M_S; a larger error counts as that, so that a jump is hardly taken for an
+        acceleration.
         """
-        if dt <= 0:
+        if not dt > NO_TIME_S:  # also NaN
             return
         if dt >= time_s:
             self.north_m_s, self.east_m_s, self.north_m_s2, self.east_m_s2 = north_m_s, east_m_s, 0.0, 0.0

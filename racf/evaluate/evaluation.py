@@ -141,9 +141,7 @@ def evaluate(
     dask: address of a scheduler to run on.  progress: bar on standard error.  notify: gets what is left out, in lines.
     Paired differences are to the first tracker.  Raises ValueError for wrong arguments before anything runs.
     """
-    root, folder = directory("root", root), None if out is None or out == "" else directory("out", out)
-    if folder is not None:
-        require_ours(folder)
+    root, folder = directory("root", root), _folder(out)
     jitter, jobs, images = whole("jitter", jitter), whole("jobs", jobs), images_of(images, folder)
     settings, imports, only = texts("settings", settings), texts("imports", imports), texts("only", only)
     table, sweep, dask, notify = table_number(table), sweep_of(sweep), address("dask", dask), notify or to_stderr
@@ -155,6 +153,15 @@ def evaluate(
     if folder is not None:
         notify(_written(evaluation, folder, images, table, sweep))
     return evaluation
+
+
+def _folder(out: str | Path | None) -> Path | None:
+    """The folder for results, if any, in which nobody else's files would go."""
+    if out is None or out == "":
+        return None
+    folder = directory("out", out)
+    require_ours(folder)
+    return folder
 
 
 def _written(evaluation: Evaluation, folder: Path, images: int, table: int | None, sweep: studies.Sweep) -> str:
