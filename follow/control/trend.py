@@ -1,7 +1,7 @@
 """A velocity filtered without lag behind steady acceleration: a critically damped g-h filter with a bound.
 
 The g-h filter predicts by the trend and corrects velocity and trend by the prediction's error; critically damped as in
-Brookner, *Tracking and Kalman Filtering Made Easy* (1998), 1.2.6.
+Brookner, *Tracking and Kalman Filtering Made Easy* (1998), chapter 1.
 """
 
 import math

@@ -25,7 +25,7 @@ def write_report(flight: Path, out: Path | None = None) -> Path:
         raise UsageError(f"--out {str(path)!r} is a folder: give the name of a file, as {str(path / 'report.html')!r}")
     if not path.parent.is_dir():
         raise UsageError(f"--out {str(path)!r} cannot be written: there is no folder {str(path.parent)!r}")
-    if path.is_file() and not path.read_bytes().startswith(BEGINS):
+    if path.is_file() and not is_report(path):
         raise UsageError(f"--out {str(path)!r} exists and is no report: give another name")
     text = report(flight)
     try:
@@ -33,6 +33,12 @@ def write_report(flight: Path, out: Path | None = None) -> Path:
     except OSError as error:
         raise OSError(f"{str(path)!r} cannot be written: {error.strerror}; give another file with --out") from None
     return path
+
+
+def is_report(path: Path) -> bool:
+    """Whether a file begins as the pages written here; a video is not read whole for that."""
+    with path.open("rb") as file:
+        return file.read(len(BEGINS)) == BEGINS
 
 
 def report(flight: Path) -> str:

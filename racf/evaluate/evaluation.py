@@ -80,7 +80,9 @@ def require_ours(folder: Path) -> None:
     others = [path.name for path in _named_as_ours(folder)]
     if others and not (folder / "runs").is_dir() and not _is_report(folder / "report.json"):
         shown = ", ".join(others[:3]) + (", ..." if len(others) > 3 else "")
-        raise UsageError(f"{folder} holds {shown}, not written by an evaluation, which would go: give another folder")
+        raise UsageError(
+            f"{folder} holds {shown}, which no evaluation wrote and this one would replace: give another folder"
+        )
 
 
 def _named_as_ours(folder: Path) -> list[Path]:
@@ -95,7 +97,8 @@ def _is_report(path: Path) -> bool:
         known = json.loads(path.read_text())
     except (OSError, ValueError):
         return False
-    return isinstance(known, dict) and all(isinstance(row, dict) and "auc_strict" in row for row in known.values())
+    rows = known.values() if isinstance(known, dict) else ()
+    return any(isinstance(row, dict) and "auc_strict" in row for row in rows)
 
 
 def to_stderr(text: str) -> None:

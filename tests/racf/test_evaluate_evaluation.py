@@ -269,7 +269,10 @@ def test_an_evaluation_overwrites_and_deletes_nobody_else_s_files(name, data, tm
     assert err.count("\n") == 1
     assert name in err
     assert {path.name: path.read_text() for path in out.iterdir()} == {name: '{"mine": 1}'}
-    (out / name).unlink()
+    (out / "report.json").write_text("{}")
+    assert command("eval", data, "--tracker", "racf-", "--out", out) == 2
+    (out / "report.json").unlink()
+    (out / name).unlink(missing_ok=True)
     result = evaluate(data, trackers={"far": Still}, out=out, jobs=1, progress=False)
     (out / "runs").rename(tmp_path / "runs")
     result.write(out)  # its own report.json is enough to know the folder by
